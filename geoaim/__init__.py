@@ -63,6 +63,7 @@ if TYPE_CHECKING:
     from geoaim.hdmap.rasterize import draw_hdmap as draw_hdmap
     from geoaim.imagery.alignment.before_after import draw_alignment as draw_alignment
     from geoaim.imagery.alignment.pipeline import align_tiles as align_tiles
+    from geoaim.imagery.alignment.placing import place_by_imagery as place_by_imagery
     from geoaim.imagery.mosaic import read_imagery as read_imagery
     from geoaim.mapping.georeference.control_points import (
         read_control_points as read_control_points,
@@ -75,6 +76,7 @@ if TYPE_CHECKING:
     from geoaim.mapping.video.video import open_video as open_video
     from geoaim.rendering.scene import Scene as Scene
     from geoaim.rendering.scene import make_scene as make_scene
+    from geoaim.tracking.find_vehicles import find_vehicles as find_vehicles
     from geoaim.tracking.pipeline import track_video as track_video
     from geoaim.tracks.files import write_tracks as write_tracks
     from geoaim.tracks.formats.formats import read_tracks as read_tracks
@@ -103,6 +105,7 @@ _MODULE_OF_NAME = {
     "explore": "geoaim.web.widget",
     "pick": "geoaim.web.widget",
     "export_texture": "geoaim.mapping.texture",
+    "find_vehicles": "geoaim.tracking.find_vehicles",
     "make_scene": "geoaim.rendering.scene",
     "open_video": "geoaim.mapping.video.video",
     "read_aim": "geoaim.aim.files",
@@ -113,6 +116,7 @@ _MODULE_OF_NAME = {
     "read_imagery": "geoaim.imagery.mosaic",
     "read_lights": "geoaim.tracks.lights",
     "read_tracks": "geoaim.tracks.formats.formats",
+    "place_by_imagery": "geoaim.imagery.alignment.placing",
     "rectify": "geoaim.aim.rectification",
     "register": "geoaim.mapping.registration.register",
     "track_video": "geoaim.tracking.pipeline",

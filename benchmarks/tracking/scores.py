@@ -56,7 +56,7 @@ def score_tracks(truth: BoxView, found: BoxView) -> dict[str, Any]:
         HOTA and IDF1 (0 to 1) by TrackEval; medians of the errors of position (m), heading
         (degrees), speed (m/s), acceleration (m/s²), length and width (m), with 90 % quantiles.
     """
-    pairs, data = _match_frames(truth, found)
+    pairs, data = match_frames(truth, found)
     return _judge_identities(data) | measure_errors(truth.tracks, found.tracks, pairs)
 
 
@@ -74,7 +74,7 @@ def compute_iou(one: Float[Array, "n 4"], other: Float[Array, "m 4"]) -> Float[A
     return np.asarray(shared / np.maximum(union, 1e-9))
 
 
-def _match_frames(truth: BoxView, found: BoxView) -> tuple[Array, dict[str, Any]]:
+def match_frames(truth: BoxView, found: BoxView) -> tuple[Array, dict[str, Any]]:
     """Match boxes frame by frame; with what TrackEval's metrics take."""
     steps = truth.boxes.shape[1]
     pairs, agents, tracks, similarities = [], [], [], []

@@ -10,6 +10,10 @@ from geoaim.cli.console import console, print_result, report_errors, show_progre
 from geoaim.cli.outputs import GEOTIFF, TRACKS, check_map_output, check_output
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from geoaim.aim.aim import AIM
+    from geoaim.base.progress import Progress
     from geoaim.mapping.sampling import FrameCount
 
 
@@ -52,6 +56,24 @@ def build(
         ),
     ] = None,
     fixed_camera: options.FixedCamera = False,
+    imagery: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="orthophoto or tiles of the place, which place the map instead of points"
+        ),
+    ] = None,
+    near: Annotated[
+        str | None,
+        typer.Option(
+            help="latitude,longitude of the frame's middle to 35 m, if telemetry lacks it"
+        ),
+    ] = None,
+    imagery_accuracy: Annotated[
+        float,
+        typer.Option(
+            help="standard deviation of the imagery's place, m; 0 takes it as right", min=0.0
+        ),
+    ] = 0.0,
     as_json: options.AsJson = False,
 ) -> None:
     """Build a georeferenced map (AIM) from a hovering drone's video, or from one image.
@@ -59,7 +81,9 @@ def build(
     Control points are pixels of the first frame, unless their file names another. Without control
     points the telemetry beside the video gives an approximate position, or --frame-resolution a
     map in local coordinates. A single image becomes a map as it is, by its control points or
-    --resolution. A quick-look .png is written beside the map.
+    --resolution. --imagery places the map by an orthophoto or tiles of any day, starting from the
+    telemetry or from --near with about the right --frame-resolution. A quick-look .png is written
+    beside the map.
 
     Example: geoaim build samples/hover.mp4 --gcps samples/gcps.csv -o map.tif
     """
@@ -83,9 +107,46 @@ def build(
                 focal_length=focal_length,
                 fixed_camera=fixed_camera,
             ),
+            place=_choose_placing(imagery, near, imagery_accuracy, gcps, progress),
             progress=progress,
         )
     print_result([output, look], aim.summarize(), as_json, report=aim.report)
+
+
+def _choose_placing(
+    imagery: list[str] | None,
+    near: str | None,
+    accuracy: float,
+    gcps: Path | None,
+    progress: "Progress",
+) -> "Callable[[AIM], AIM] | None":
+    """What places the map by imagery, if that is asked for."""
+    if not imagery:
+        if near is not None or accuracy:
+            raise ValueError("--near and --imagery-accuracy need --imagery, which places the map")
+        return None
+    if gcps is not None:
+        raise ValueError("--gcps and --imagery both place the map; give one")
+    sources, start = list(imagery), None if near is None else _parse_near(near)
+
+    def place(aim: "AIM") -> "AIM":
+        from geoaim.imagery.alignment.placing import place_by_imagery
+
+        return place_by_imagery(aim, sources, near=start, accuracy=accuracy, progress=progress)
+
+    return place
+
+
+def _parse_near(text: str) -> tuple[float, float]:
+    try:
+        latitude, longitude = map(float, text.split(","))
+    except ValueError:
+        raise ValueError(
+            f"--near {text!r} is not latitude,longitude in degrees, such as 49.99,36.23"
+        ) from None
+    if not (abs(latitude) <= 90 and abs(longitude) <= 180):
+        raise ValueError(f"--near {text!r}: a latitude is at most 90, a longitude at most 180")
+    return latitude, longitude
 
 
 def _parse_frames(text: str) -> "FrameCount":

@@ -21,8 +21,12 @@ def track(
     aim: Annotated[Path, typer.Option(help="AIM of the same ground, best one of this video")],
     output: Annotated[Path, options.output(".csv or .parquet to write")],
     detections: Annotated[
-        Path, typer.Option(help="boxes of a detector: a folder of YOLO .txt, MOT, COCO .json, .csv")
-    ],
+        Path | None,
+        typer.Option(
+            help="boxes of a detector: a folder of YOLO .txt, MOT, COCO .json, .csv; "
+            "vehicles are found without a detector if omitted"
+        ),
+    ] = None,
     columns: Annotated[
         str | None,
         typer.Option(help="columns of a .csv, such as frame=frame,id=track,x=u_px,y=v_px"),
@@ -49,11 +53,12 @@ def track(
     hdmap: options.HDMapFile = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Track the agents of a video on its map, from the boxes of a detector.
+    """Track the agents of a video on its map, from a detector's boxes or without a detector.
 
     The frames are registered to the map, which takes the boxes to metres on the ground. Tracks
     bridge misses of up to two seconds and are smoothed; the states that were known at each time
-    are in columns of their own.
+    are in columns of their own. Without --detections, vehicles that move, came or left are found
+    by what differs from the map, which must be one of this video.
 
     Example: geoaim track samples/hover.mp4 --aim map.tif --detections samples/boxes -o tracks.csv
     """
@@ -64,7 +69,7 @@ def track(
     from geoaim.mapping.video.detections import read_detections
     from geoaim.mapping.video.video import open_video
     from geoaim.tracking.pipeline import track_video
-    from geoaim.tracking.report import summarize_tracking
+    from geoaim.tracking.report import WITHOUT_DETECTOR, summarize_tracking
     from geoaim.tracks.files import write_tracks
 
     with show_progress() as progress, report_errors():
@@ -72,21 +77,31 @@ def track(
         names = tuple(name.strip() for name in classes.split(",") if name.strip())
         chosen = None if columns is None else parse_columns(columns)
         opened = open_video(video, rate=image_rate or 1.0)
-        boxes = read_detections(
-            detections,
-            columns=chosen,
-            rate=rate,
-            classes=names,
-            form=form,
-            size=None if size is None else parse_size(size),
-            first=first,
-            video=opened,
-        )
+        boxes = None
+        if detections is not None:
+            boxes = read_detections(
+                detections,
+                columns=chosen,
+                rate=rate,
+                classes=names,
+                form=form,
+                size=None if size is None else parse_size(size),
+                first=first,
+                video=opened,
+            )
+        elif names or (columns, rate, form, size, first) != (None,) * 5:
+            raise ValueError(
+                "--columns, --rate, --classes, --form, --size and --first say how --detections is "
+                "read; give it too, or leave them out"
+            )
         ground = read_aim(aim)
         lanes = None if hdmap is None else read_hdmap(hdmap, ground.world)
         tracks = track_video(opened, ground, boxes, hdmap=lanes, progress=progress)
         write_tracks(tracks, output)
-    print_result([output], summarize_tracking(tracks, ground), as_json)
+    lines = summarize_tracking(tracks, ground)
+    if detections is None:
+        lines["detections"] = WITHOUT_DETECTOR
+    print_result([output], lines, as_json)
 
 
 Format = Literal["plain", "geopackage", "geo-trax", "scenarionet"]

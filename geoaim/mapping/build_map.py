@@ -1,5 +1,6 @@
 """Build a map from a video and write it with its quick look, as `geoaim build` does."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -47,13 +48,14 @@ class MapSettings:
     fixed_camera: bool = False
 
 
-def build_map(
+def build_map(  # noqa: PLR0913  (its options)
     video: VideoSource,
     output: Path,
     *,
     gcps: Path | None = None,
     detections: Path | None = None,
     settings: MapSettings | None = None,
+    place: Callable[[AIM], AIM] | None = None,
     progress: Progress = no_progress,
 ) -> AIM:
     """Build a map and write it, with a quick look (.png) beside it.
@@ -64,6 +66,7 @@ def build_map(
         gcps: control points; None places the map by telemetry or by the settings.
         detections: folder of boxes of vehicles to leave out.
         settings: the options; None: the defaults.
+        place: what moves the map to its place, such as by imagery; None: it stays.
         progress: called with the stage, the frames done and the frames in all.
 
     Returns:
@@ -92,6 +95,8 @@ def build_map(
         crs=settings.crs,
         progress=progress,
     )
+    if place is not None:
+        aim = place(aim)
     progress("write", 0, 1)
     if resolution is not None or not aim.is_affine:
         aim = rectify(aim, resolution)

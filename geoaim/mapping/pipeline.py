@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TypeVar
 
 import cv2
 import numpy as np
@@ -45,6 +45,7 @@ from geoaim.mapping.video.detections import (
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 
+Ground = TypeVar("Ground", Background, AIM)  # an image of the ground and what is known of it
 MIN_USED_SHARE = 0.5  # the build warns if a smaller share of the frames is used
 MAX_TYPICAL_UNCERTAINTY_PX = 1.0  # the build warns if the registration is less certain
 MAX_CONTESTED_SHARE = 0.1  # the build warns if a greater share of the pixels is contested
@@ -117,7 +118,7 @@ def build_aim(
         sample, reference, vehicles, progress, photos=photos
     )
     _warn_of_limits(registration, background, photos=photos)
-    background = _remove_distortion(background, georeference.radial)
+    background = remove_distortion(background, georeference.radial)
     method = _describe_method(vehicles, sample, registration)
     return AIM(
         image=background.image,
@@ -285,8 +286,16 @@ def _describe_method(
     return "mean" if plain else "mean without traffic"
 
 
-def _remove_distortion(background: Background, radial: float) -> Background:
-    """Resample a background without the radial distortion that the georeference estimated."""
+def remove_distortion(background: Ground, radial: float) -> Ground:
+    """Resample a background or a map without the radial distortion of the lens.
+
+    Args:
+        background: the background or map.
+        radial: the lens term of a `Georeference`.
+
+    Returns:
+        The same without distortion.
+    """
     if radial == 0.0:
         return background
     height, width = background.coverage.shape

@@ -20,7 +20,8 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.tracking.association import associate
 from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_boxes
-from geoaim.tracking.frame_poses import locate_frames
+from geoaim.tracking.find_vehicles import search_frames
+from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_detections import place_boxes
 from geoaim.tracking.noise import DEFAULT_NOISE_PX, estimate_noise
 from geoaim.tracking.standing import Directions
@@ -35,7 +36,7 @@ NOISE_MARGIN = 1.4  # by which boxes scatter more in jumps than they usually do
 def track_video(
     video: VideoSource,
     aim: AIM,
-    detections: DetectionSource,
+    detections: DetectionSource | None = None,
     *,
     hdmap: HDMap | None = None,
     progress: Progress = notebook_progress,
@@ -48,7 +49,9 @@ def track_video(
     Args:
         video: what `open_video` opens.
         aim: an AIM of the same ground, best one that was built of this video.
-        detections: boxes of each frame, as `read_detections` reads them, or what it returns.
+        detections: boxes of each frame, as `read_detections` reads them, or what it returns. None:
+            vehicles are found without a detector, by what differs from the AIM (`find_vehicles`),
+            which must be one of this video.
         hdmap: lanes, which tell the headings of vehicles that do not move; None: not known.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
 
@@ -63,21 +66,32 @@ def track_video(
         GeoaimError: detections are in no known format.
     """
     opened = open_video(video)
-    found = read_detections(detections, video=opened)
-    boxes: dict[int, DetectedBoxes | None] = {}
-
-    def read_frames() -> Iterator[Frame]:
-        for frame in opened.read_all():
-            boxes[frame.index] = found(frame)
-            yield frame
-
-    recorded = replace(opened, read_all=read_frames)
-    poses = locate_frames(recorded, aim, lambda frame: boxes.get(frame.index), progress)
-    known = [boxes.get(index) for index in poses.registration.index.tolist()]
+    if detections is None:
+        poses = locate_frames(opened, aim, None, progress)
+        known = search_frames(opened, aim, poses, progress)
+    else:
+        poses, known = _locate_boxes(opened, aim, detections, progress)
     lanes = None if hdmap is None else Directions(*sample_lane_directions(hdmap))
     size = opened.height, opened.width
     times = find_image_times(opened, poses.registration.index, poses.times)
     return track_boxes(known, poses.world_from_frame, times, aim.world, size, lanes=lanes)
+
+
+def _locate_boxes(
+    video: Video, aim: AIM, detections: DetectionSource, progress: Progress
+) -> tuple[FramePoses, list[DetectedBoxes | None]]:
+    """Locate the frames without what was detected in them; with the boxes of each frame."""
+    found = read_detections(detections, video=video)
+    boxes: dict[int, DetectedBoxes | None] = {}
+
+    def read_frames() -> Iterator[Frame]:
+        for frame in video.read_all():
+            boxes[frame.index] = found(frame)
+            yield frame
+
+    recorded = replace(video, read_all=read_frames)
+    poses = locate_frames(recorded, aim, lambda frame: boxes.get(frame.index), progress)
+    return poses, [boxes.get(index) for index in poses.registration.index.tolist()]
 
 
 def find_image_times(

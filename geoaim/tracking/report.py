@@ -9,6 +9,10 @@ from geoaim.base.geometry import transform_points
 from geoaim.tracking.standing import UNKNOWN_SIGMA_RAD
 from geoaim.tracks.tracks import Tracks
 
+WITHOUT_DETECTOR = (
+    "no detector was used: what stands all the time is in the map, and is not tracked"
+)
+
 
 def summarize_tracking(tracks: Tracks, aim: AIM) -> dict[str, str]:
     """Summarize tracks of `track_video`, and how many of their states lie on the AIM."""

@@ -47,6 +47,8 @@ REFINEMENTS = 2  # number of refinements on the finest grid
 MIN_MODEL_GAIN_PX = 0.1  # pixels of the finest grid; a richer model must gain more than this
 MIN_SIGMA_PX = 0.1  # pixels of the finest grid; a sensor's own geometry is no better known
 CORRELATED_WINDOWS = 3.0  # windows that shadows and changes shift together
+MAX_FINE_TURNS = 1500  # rotations and scales; more are searched with half the pixels first
+ROUGH_CANDIDATES = 16  # places of that search around which all turns are searched
 SEARCH_STEP_PX = 1.5  # between rotations and scales, at the longer ends of the coarsest grid
 MIN_SEPARATION_PX = 4  # distance between candidates, pixels of the coarsest grid
 MAX_CANDIDATES = 4  # candidates that are refined
@@ -171,21 +173,60 @@ def _find_place(
 def _search_grid(level: Level, prior: Prior, progress: Progress) -> list[Float[Array, "3 3"]]:
     """The best places among all rotations, scales and shifts of the prior, on a coarse grid."""
     grid = level.grid
-    reach = int(np.ceil(prior.max_shift / grid.resolution))
+    step = 2 * SEARCH_STEP_PX / max(grid.height, grid.width)
+    rotations = _list_steps(prior.max_rotation, step)
+    log_scales = _list_steps(float(np.log1p(prior.max_scaling)), step)
+    apart = MIN_SEPARATION_PX * grid.resolution
+    turns = np.stack(np.meshgrid(rotations, log_scales, indexing="ij"), axis=-1).reshape(-1, 2)
+    if len(turns) > MAX_FINE_TURNS:
+        rough = np.stack(np.meshgrid(rotations[::2], log_scales[::2], indexing="ij"), axis=-1)
+        scored = _score_turns(level, prior, rough.reshape(-1, 2), 2, progress)
+        best = _select_separate(scored, grid.corners, 2 * apart, ROUGH_CANDIDATES)
+        around = np.array([_read_turn(matrix) for matrix in best])
+        offset = np.abs(turns[:, None] - around[None])
+        offset[..., 0] = np.minimum(offset[..., 0], 2 * np.pi - offset[..., 0])
+        turns = turns[(offset < 2.1 * step).all(axis=2).any(axis=1)]
+    scored = _score_turns(level, prior, turns, 1, progress)
+    return _select_separate(scored, grid.corners, apart, MAX_CANDIDATES)
+
+
+def _read_turn(matrix: Float[Array, "3 3"]) -> tuple[float, float]:
+    """Rotation (radians) and logarithm of the scale of a similarity."""
+    return float(np.arctan2(matrix[1, 0], matrix[0, 0])), float(
+        np.log(np.hypot(matrix[1, 0], matrix[0, 0]))
+    )
+
+
+def _score_turns(
+    level: Level, prior: Prior, turns: Float[Array, "n 2"], shrink: int, progress: Progress
+) -> list[tuple[float, Float[Array, "3 3"]]]:
+    """The best shift of each rotation and log scale, and its score, on a shrunk grid."""
+    grid = level.grid
+    reach = shrink * int(np.ceil(prior.max_shift / grid.resolution / shrink))
     padded = pad_grid(grid, reach)
     center = transform_points(grid.world_from_grid, np.array([[grid.width, grid.height]]) / 2)[0]
-    step = 2 * SEARCH_STEP_PX / max(grid.height, grid.width)
+    template = _shrink_channels(level.reference, shrink)
+    metres = grid.resolution * shrink
     scored = []
-    rotations = _list_steps(prior.max_rotation, step)
-    for rotation in report_each(rotations, progress, "search", len(rotations)):
-        for log_scale in _list_steps(float(np.log1p(prior.max_scaling)), step):
-            similarity = make_similarity(center, rotation, float(np.exp(log_scale)))
-            channels = _orient_image(level.image, similarity, padded)
-            scores = cv2.matchTemplate(channels, level.reference, cv2.TM_CCORR_NORMED)
-            row, column = np.unravel_index(scores.argmax(), scores.shape)
-            shift = translation((column - reach) * grid.resolution, (reach - row) * grid.resolution)
-            scored.append((float(scores.max()), similarity @ shift))
-    return _select_separate(scored, grid.corners, MIN_SEPARATION_PX * grid.resolution)
+    for rotation, log_scale in report_each(turns.tolist(), progress, "search", len(turns)):
+        similarity = make_similarity(center, rotation, float(np.exp(log_scale)))
+        channels = _shrink_channels(_orient_image(level.image, similarity, padded), shrink)
+        scores = cv2.matchTemplate(channels, template, cv2.TM_CCORR_NORMED)
+        row, column = np.unravel_index(scores.argmax(), scores.shape)
+        shift = translation(
+            column * metres - reach * grid.resolution, reach * grid.resolution - row * metres
+        )
+        scored.append((float(scores.max()), similarity @ shift))
+    return scored
+
+
+def _shrink_channels(channels: Float32[Array, "H W 2"], shrink: int) -> Float32[Array, "h w 2"]:
+    """Average channels over squares of pixels; what is left at the end is cut off."""
+    if shrink == 1:
+        return channels
+    height, width = (side // shrink for side in channels.shape[:2])
+    whole = channels[: height * shrink, : width * shrink]
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _list_steps(end: float, step: float) -> Float[Array, "n"]:
@@ -195,7 +236,10 @@ def _list_steps(end: float, step: float) -> Float[Array, "n"]:
 
 
 def _select_separate(
-    scored: list[tuple[float, Float[Array, "3 3"]]], corners: Float[Array, "4 2"], metres: float
+    scored: list[tuple[float, Float[Array, "3 3"]]],
+    corners: Float[Array, "4 2"],
+    metres: float,
+    count: int,
 ) -> list[Float[Array, "3 3"]]:
     """The best few between which the corners move by more than `metres`."""
     selected: list[Float[Array, "3 3"]] = []
@@ -204,7 +248,9 @@ def _select_separate(
         others = [transform_points(other, corners) for other in selected]
         if all(np.linalg.norm(moved - other, axis=1).mean() > metres for other in others):
             selected.append(matrix)
-    return selected[:MAX_CANDIDATES]
+        if len(selected) == count:
+            break
+    return selected
 
 
 def _refine_candidates(

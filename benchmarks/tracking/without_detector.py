@@ -1,0 +1,108 @@
+"""Vehicles found without a detector, against the truth of made videos.
+
+    python -m benchmarks.tracking.without_detector --json docs/bench/without_detector.json
+
+Drawn places with shadows, and (with GEOAIM_DATA) real stills with real cars on them. The videos are
+encoded, and the maps built of them. Vehicles that move at a time, and those that stand at it but
+move at another, are judged; what stands all the time is no part of the task. TrackEval judges
+identities: `pip install trackeval`.
+"""
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+import typer
+from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
+from jaxtyping import Bool
+from numpy import ndarray as Array
+
+from benchmarks.data import find_data
+from benchmarks.stills import STILLS
+from benchmarks.tracking.benchmark import KINDS, TEST_SEED, VALIDATION_SEED
+from benchmarks.tracking.filmed_cases import FilmedCase, film_drawn, film_still
+from benchmarks.tracking.scores import BoxView, compute_iou, make_view, match_frames, score_tracks
+from geoaim.base.geometry import transform_points
+from geoaim.base.progress import no_progress
+from geoaim.tracking.pipeline import track_video
+from geoaim.tracks.agent_types import find_group
+
+SECONDS, STILL_FRAMES = 12.0, 120
+BORDER_PX = 25.0  # vehicles whose middles are nearer to the frame's border are not judged
+MIN_MOVING_SPEED = 1.0  # m/s
+MIN_TOP_SPEED = 0.7  # m/s; a slower vehicle stands all the time
+MIN_OVERLAP = 0.2  # IoU with an agent that is not judged; such a track is no error
+
+
+def measure_case(case: FilmedCase) -> dict[str, Any]:
+    """Measure the tracks that are found in a video: shares of states, identities and errors."""
+    found = track_video(case.video, case.aim, progress=no_progress)
+    truth = case.truth
+    is_vehicle = np.array([find_group(kind) == "vehicle" for kind in truth.types])
+    speed = np.abs(np.nan_to_num(truth.states[..., 3]))
+    leaves = np.where(truth.present, speed, 0.0).max(axis=1) > MIN_TOP_SPEED
+    judged = _view(case, truth, is_vehicle & leaves)
+    others = make_view(truth, case.frame_from_world, case.size, ~(is_vehicle & leaves))
+    tracks = _view(case, found, np.ones(len(found.ids), bool))
+    tracks = replace(tracks, visible=_drop_others(tracks, judged, others))
+    pairs, _ = match_frames(judged, tracks)
+    moving = speed > MIN_MOVING_SPEED
+    row: dict[str, Any] = {"video": case.name}
+    for name, mask in (("moving", moving), ("standing", ~moving)):
+        count = int((judged.visible & mask).sum())
+        hits = int(mask[pairs[:, 0], pairs[:, 2]].sum())
+        row |= {f"{name} states": count, f"{name} recall": hits / count if count else np.nan}
+    row["precision"] = len(pairs) / max(int(tracks.visible.sum()), 1)
+    return row | score_tracks(judged, tracks)
+
+
+def _view(case: FilmedCase, tracks: Any, kept: Bool[Array, " N"]) -> BoxView:
+    """The view of some agents whose middles lie inside the frames."""
+    view = make_view(tracks, case.frame_from_world, case.size, kept)
+    middles = transform_points(case.frame_from_world, tracks.states[..., :2].swapaxes(0, 1))
+    limits = np.array(case.size[::-1]) - BORDER_PX
+    inside = ((middles > BORDER_PX) & (middles < limits)).all(axis=2).T
+    return replace(view, visible=view.visible & inside)
+
+
+def _drop_others(tracks: BoxView, judged: BoxView, others: BoxView) -> Bool[Array, "N T"]:
+    """Which tracks are visible and lie on no agent that is not judged."""
+    visible = tracks.visible.copy()
+    for step in range(visible.shape[1]):
+        rows = np.flatnonzero(visible[:, step])
+        boxes = tracks.boxes[rows, step]
+        overlaps = [
+            compute_iou(boxes, view.boxes[view.visible[:, step], step]).max(axis=1, initial=0)
+            for view in (judged, others)
+        ]
+        visible[rows[(overlaps[1] > MIN_OVERLAP) & (overlaps[1] > overlaps[0])], step] = False
+    return visible
+
+
+def make_cases(seed: int, folder: Path) -> Iterator[FilmedCase]:
+    """Make the videos of both generators."""
+    for number, kind in enumerate(KINDS):
+        yield film_drawn(kind, seed + number, folder, seconds=SECONDS)
+    if find_data() is not None:
+        for still, kind in zip(STILLS, ("plain", "queue"), strict=True):
+            yield film_still(still, kind, seed, folder, count=STILL_FRAMES)
+
+
+def main(
+    json: JsonFile = None,
+    validation: Annotated[bool, typer.Option(help="the validation videos")] = False,
+) -> None:
+    """Measure vehicles found without a detector."""
+    cv2.setNumThreads(1)
+    with tempfile.TemporaryDirectory() as folder:
+        cases = make_cases(VALIDATION_SEED if validation else TEST_SEED, Path(folder))
+        rows = print_rows(measure_case(case) for case in cases)
+    write_rows(rows, json, command="python -m benchmarks.tracking.without_detector")
+
+
+if __name__ == "__main__":
+    typer.run(main)

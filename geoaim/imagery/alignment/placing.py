@@ -1,0 +1,140 @@
+"""Place a map by imagery: windows of it that the imagery shows too become its control points."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from numpy import ndarray as Array
+
+from geoaim.aim.aim import AIM
+from geoaim.aim.position import CLAIMS, read_position_covariance
+from geoaim.aim.rectification import change_aim_world
+from geoaim.base.errors import AlignmentError
+from geoaim.base.geometry import transform_points, translation
+from geoaim.base.progress import Progress, notebook_progress
+from geoaim.base.world import choose_world, world_from_lonlat
+from geoaim.imagery.alignment.by_image import MatchedWindows, match_image
+from geoaim.imagery.alignment.prior import Prior
+from geoaim.imagery.mosaic import read_imagery
+from geoaim.imagery.sources import Source
+from geoaim.mapping.georeference.control_points import ControlPoints
+from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.georeference.point_checks import warn_of_small_part
+from geoaim.mapping.pipeline import remove_distortion
+from geoaim.mapping.report import report_georeference, report_position
+
+BY_TELEMETRY = Prior(35.0, float(np.radians(45.0)), 0.25)  # how far off telemetry may be
+NEAR = Prior(35.0, float(np.pi), 0.25)  # and a position that is given by hand, in any direction
+CELLS = 9  # of the longer side of the map; one window of each becomes a control point
+
+
+def place_by_imagery(
+    aim: AIM,
+    imagery: AIM | Source | Sequence[Source],
+    *,
+    near: tuple[float, float] | None = None,
+    accuracy: float = 0.0,
+    progress: Progress = notebook_progress,
+) -> AIM:
+    """Place a map by an orthophoto or tiles of the same ground, of any day, instead of points.
+
+    Windows of the imagery are found in the map; those that agree become control points, one for
+    each part of the map, and place it as points that are picked by hand do.
+
+    Args:
+        aim: the map, by telemetry; or of about the right scale in a local plane, with `near`.
+        imagery: what `read_imagery` takes, or an AIM.
+        near: latitude and longitude of about the map's middle, degrees, to within 35 m; the
+            direction of north may then be any.
+        accuracy: standard deviation of the imagery's own place, metres; with 0 it counts as right.
+        progress: called with the stage, how much is done and how much there is.
+
+    Returns:
+        The map in its place. Its report has the points under "georeference", and "position" says
+        how well it is placed relative to the imagery and in the world.
+
+    Raises:
+        AlignmentError: the imagery does not show the map, or shows it in two places.
+        GeoreferenceError: the windows do not fix a place.
+        ImageryError: the imagery cannot be read.
+        ValueError: a map in a local plane has no `near`.
+    """
+    rough, prior = _move_near(aim, near)
+    margin = 1.5 * prior.max_shift
+    region = np.stack([rough.corners.min(axis=0) - margin, rough.corners.max(axis=0) + margin])
+    if isinstance(imagery, AIM):
+        reference = change_aim_world(imagery, rough.world)
+    else:
+        reference = read_imagery(imagery, world=rough.world, corners=region)
+    windows = match_image(rough, reference, prior=prior, progress=progress)
+    points = _make_points(windows, rough, reference, accuracy)
+    height, width = rough.coverage.shape
+    warn_of_small_part(points, (height, width))
+    place = estimate_georeference(points, height=height, width=width, world=rough.world)
+    kept = {name: value for name, value in rough.report.items() if name not in (*CLAIMS, "place")}
+    report = {
+        **kept,
+        "georeference": report_georeference(place, points),
+        "position": report_position(place, points),
+        "placed_by_imagery": {
+            "source": str(reference.report.get("source", "imagery")),
+            "windows": len(windows.in_image),
+            "control_points": len(points.names),
+            "scatter_m": points.accuracy,
+            "imagery_accuracy_m": accuracy,
+        },
+    }
+    straight = remove_distortion(rough, place.radial)
+    return replace(straight, world_from_image=place.world_from_image, report=report)
+
+
+def _move_near(aim: AIM, near: tuple[float, float] | None) -> tuple[AIM, Prior]:
+    """Move the middle of a map to where it is said to be; with how far off it may be then."""
+    if near is None:
+        if aim.world.crs is None:
+            raise ValueError(
+                "the map has no place in the world; give near=(latitude, longitude) (--near)"
+            )
+        return aim, BY_TELEMETRY
+    lonlat = np.array([[near[1], near[0]]])
+    world = choose_world(lonlat)
+    height, width = aim.coverage.shape
+    middle = transform_points(aim.world_from_image, np.array([[width / 2, height / 2]]))[0]
+    shift = world_from_lonlat(world, lonlat)[0] - middle
+    report = {name: value for name, value in aim.report.items() if name not in (*CLAIMS, "place")}
+    matrix = translation(*shift) @ aim.world_from_image
+    return replace(aim, world=world, world_from_image=matrix, report=report), NEAR
+
+
+def _make_points(
+    windows: MatchedWindows, rough: AIM, reference: AIM, accuracy: float
+) -> ControlPoints:
+    """Make control points of windows that agree, one for each cell of the map."""
+    height, width = rough.coverage.shape
+    pixels = transform_points(np.linalg.inv(rough.world_from_image), windows.in_image)
+    inside = ((pixels > 0) & (pixels < [width, height])).all(axis=1)
+    if not inside.any():
+        raise AlignmentError("no window of the imagery lies on the map; is it the same place?")
+    pixels, places = pixels[inside], windows.in_reference[inside]
+    chosen = _thin_out(pixels, max(height, width) / CELLS)
+    own = read_position_covariance(reference.report)
+    shared = accuracy**2 * np.eye(2) if own is None or accuracy else own
+    return ControlPoints(
+        pixels=pixels[chosen],
+        coordinates=places[chosen] + np.array(rough.world.origin),
+        crs=rough.world.crs,
+        names=tuple(f"window {number}" for number in chosen.tolist()),
+        frames=(None,) * len(chosen),
+        accuracy=float(np.sqrt(np.mean(windows.residuals**2))),
+        shared_covariance=shared,
+    )
+
+
+def _thin_out(pixels: Float[Array, "m 2"], cell: float) -> Int[Array, " n"]:
+    """Choose the point of each square cell that is nearest to its middle."""
+    number = np.floor(pixels / cell)
+    distance = np.hypot(*(pixels - (number + 0.5) * cell).T)
+    order = np.argsort(distance)
+    _, first = np.unique(number[order], axis=0, return_index=True)
+    return np.sort(order[first])

@@ -1,0 +1,100 @@
+"""Vehicles without a detector: what differs from the map in registered frames."""
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import TracksError
+from geoaim.base.geometry import transform_points
+from geoaim.base.progress import Progress, no_progress, notebook_progress
+from geoaim.mapping.video.detections import DetectedBoxes
+from geoaim.mapping.video.video import Video, VideoSource, open_video
+from geoaim.tracking.background_difference import Ground, find_foreground, learn_ground
+from geoaim.tracking.frame_poses import FramePoses, locate_frames
+from geoaim.tracking.ground_grid import GroundGrid, make_grid
+from geoaim.tracking.vehicle_shapes import find_shapes
+
+LEARNING_FRAMES = 30  # spread over the video, by which the ground's noise and shadows are learnt
+MAX_RESOLUTION = 0.6  # metres per pixel; a car is no longer several pixels wide in coarser frames
+MAX_SMALL_RESOLUTION = 0.1  # metres per pixel up to which people and cyclists are told from noise
+MIN_VEHICLE_M2 = 2.0
+
+
+def find_vehicles(
+    video: VideoSource, aim: AIM, *, progress: Progress = notebook_progress
+) -> list[DetectedBoxes | None]:
+    """Find the vehicles of a video without a detector: what moves, and what came or left.
+
+    The frames are registered to the map and compared with it; shadows are told from vehicles, and
+    neighbours apart. What stands all the time is a part of the map, and is not found.
+
+    Args:
+        video: what `open_video` opens.
+        aim: an AIM that was built of this video.
+        progress: called with the stage, the frames done and the frames in all.
+
+    Returns:
+        Turned boxes of each frame, with scores, for `track_video`; None for a frame that could not
+        be registered.
+
+    Raises:
+        RegistrationError: the frames cannot be registered to the AIM.
+        TracksError: a pixel shows too much ground.
+    """
+    opened = open_video(video)
+    return search_frames(opened, aim, locate_frames(opened, aim, None, progress), progress)
+
+
+def search_frames(
+    video: Video, aim: AIM, poses: FramePoses, progress: Progress = no_progress
+) -> list[DetectedBoxes | None]:
+    """Search the vehicles of a video whose frames are located; see `find_vehicles`."""
+    size = video.height, video.width
+    matrices = dict(zip(poses.registration.index.tolist(), poses.world_from_frame, strict=True))
+    known = [index for index, matrix in matrices.items() if np.isfinite(matrix).all()]
+    reference = int(np.abs(poses.times - poses.registration.reference.time).argmin())
+    grid = make_grid(poses.world_from_frame, size, reference)
+    if grid.resolution > MAX_RESOLUTION:
+        raise TracksError(
+            f"a pixel shows {grid.resolution:.2g} m of ground; vehicles are found without a "
+            f"detector up to {MAX_RESOLUTION} m: give boxes (--detections), or check the scale"
+        )
+    ground = _learn(video, aim, grid, matrices, known)
+    small = grid.resolution <= max(MAX_SMALL_RESOLUTION, 0.12)
+    found: dict[int, DetectedBoxes] = {}
+    for frame in video.read_all():
+        matrix = matrices.get(frame.index)
+        if matrix is None or not np.isfinite(matrix).all():
+            continue
+        strength, shaded = find_foreground(ground, *grid.view(frame.image, matrix))
+        shapes = find_shapes(
+            strength, shaded, grid.resolution, ground.sun, 0.25 if small else MIN_VEHICLE_M2
+        )
+        frame_from_grid = np.linalg.inv(grid.grid_from_world @ matrix)
+        corners = transform_points(frame_from_grid, shapes.corners.reshape(-1, 2)).reshape(-1, 4, 2)
+        boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
+        found[frame.index] = DetectedBoxes(boxes, corners, shapes.scores)
+        progress("find vehicles", len(found), len(known))
+    return [found.get(index) for index in matrices]
+
+
+def _learn(
+    video: Video,
+    aim: AIM,
+    grid: GroundGrid,
+    matrices: dict[int, Float[Array, "3 3"]],
+    known: list[int],
+) -> Ground:
+    """Learn the ground by frames that are spread over the video."""
+    rows = np.unique(np.linspace(0, len(known) - 1, LEARNING_FRAMES).round().astype(int))
+    chosen = {known[row] for row in rows.tolist()}
+    frames = [
+        grid.view(frame.image, matrices[frame.index])
+        for frame in video.read_all()
+        if frame.index in chosen
+    ]
+    image, inside = grid.view(aim.image, aim.world_from_image)
+    hidden = np.asarray(aim.coverage == 0, np.uint8)
+    uncovered, _ = grid.view(255 * hidden, aim.world_from_image)
+    return learn_ground(image, inside & (uncovered == 0), frames, grid.resolution)
