@@ -2,12 +2,13 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.tracks.agent_types import OTHER_SIZE, TYPICAL_SIZES
+from geoaim.tracks.agent_types import OTHER_SIZE, TYPICAL_SIZES, find_group
 
 SIZE_SIGMA = 0.25  # of the logarithms of sizes about those that are typical of their type
 EFFECTIVE_BOXES = 30.0  # independent boxes that a track counts as at most: a detector's errors last
@@ -15,6 +16,23 @@ MIN_SIZE_M = 0.2
 UNKNOWN_TYPE = "unknown"  # of agents without a type and without extents
 ITERATIONS = 3
 MAX_ERRORS = 2.5  # standard deviations beyond which a box counts less (Huber 1964)
+
+
+# spectral density of the acceleration by group, m²/s³; chosen on validation videos
+ACCELERATION_NOISE = {"vehicle": 1.0, "pedestrian": 0.15, "cyclist": 0.5, "other": 0.5}
+
+
+@dataclass(frozen=True, eq=False)
+class AgentTraits:
+    """What is the same for an agent at all times; N agents."""
+
+    types: tuple[str, ...]
+    sizes: Float[Array, "N 2"]  # length and width, m
+
+    @property
+    def acceleration_noise(self) -> Float[Array, "N"]:
+        """Spectral densities of the accelerations, m²/s³."""
+        return np.array([ACCELERATION_NOISE[find_group(kind)] for kind in self.types])
 
 
 def get_typical_size(kind: str) -> tuple[float, float]:

@@ -1,7 +1,5 @@
 """States of agents: associated detections -> smoothed and observed states, sizes and types."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
@@ -9,32 +7,16 @@ from numpy import ndarray as Array
 from geoaim.base.world import World
 from geoaim.tracking.cut_boxes import complete_cut_boxes
 from geoaim.tracking.ground_detections import GroundDetections, select_detections
-from geoaim.tracking.kalman import START_SPEED_SIGMA, TrackMotion, filter_tracks, smooth_tracks
+from geoaim.tracking.kalman import TrackMotion, TrackRows, filter_tracks, make_rows, smooth_tracks
 from geoaim.tracking.noise import estimate_noise
-from geoaim.tracking.poses import Poses, compute_poses, observe_states
-from geoaim.tracking.sizes import estimate_size, vote_type
+from geoaim.tracking.poses import compute_poses, observe_states
+from geoaim.tracking.sizes import AgentTraits, estimate_size, get_typical_size, vote_type
 from geoaim.tracking.standing import Directions
-from geoaim.tracks.agent_types import find_group
 from geoaim.tracks.tracks import Tracks
 
-# spectral density of the acceleration by group, m²/s³; chosen on validation videos
-ACCELERATION_NOISE = {"vehicle": 1.0, "pedestrian": 0.15, "cyclist": 0.5, "other": 0.5}
 CUT_SIGMA_M = 1.5  # of the middle of a box that the frame's border may cut off
 MIN_WHOLE_BOXES = 5  # that tell a size; fewer may be of something else
 COMPLETED_SIGMA_M = 0.2  # of one that has been completed by the agent's size
-
-
-@dataclass(frozen=True, eq=False)
-class AgentTraits:
-    """What is the same for an agent at all times; N agents."""
-
-    types: tuple[str, ...]
-    sizes: Float[Array, "N 2"]  # length and width, m
-
-    @property
-    def acceleration_noise(self) -> Float[Array, "N"]:
-        """Spectral densities of the accelerations, m²/s³."""
-        return np.array([ACCELERATION_NOISE[find_group(kind)] for kind in self.types])
 
 
 def make_states(
@@ -62,21 +44,42 @@ def make_states(
     """
     kept = np.flatnonzero(track >= 0)
     detections, track = select_detections(detections, kept), track[kept]
-    row = np.full((track.max(initial=-1) + 1, len(times)), -1)
-    row[track, detections.step] = np.arange(len(track))
+    rows = make_rows(track, detections.step)
+    at = np.empty(len(track), int)  # the row of each detection
+    at[rows.detection[rows.detection >= 0]] = np.flatnonzero(rows.detection >= 0)
     sigma = estimate_noise(detections, track) * detections.resolution
     cut = detections.cut.any(axis=(1, 2))
-    types = tuple(_vote(detections, np.flatnonzero(track == n)) for n in range(len(row)))
-    agents = AgentTraits(types, np.ones((len(row), 2)))
+    of_agent = [rows.detection[part][rows.detection[part] >= 0] for part in rows.list_parts()]
+    types = tuple(_vote(detections, seen) for seen in of_agent)
+    typical = np.array([get_typical_size(kind) for kind in types]).reshape(-1, 2)
+    agents = AgentTraits(types, typical)
     first = np.where(cut, CUT_SIGMA_M, sigma)
-    _, smoothed = _estimate_motion(detections.position, first, row, times, agents)
-    agents = _estimate_sizes(agents, smoothed, detections, row, sigma)
-    poses = compute_poses(smoothed, agents.types, agents.sizes, detections, row, lanes)
-    position = complete_cut_boxes(detections, track, poses.headings, agents.sizes)
+    _, smoothed = _estimate_motion(detections.position, first, rows, times, agents)
+    poses = compute_poses(smoothed, rows, agents, detections, None)
+    sizes = _estimate_sizes(agents, poses.states[at, 2], detections, of_agent, sigma)
+    agents = AgentTraits(types, sizes)
+    poses = compute_poses(smoothed, rows, agents, detections, lanes)
+    position = complete_cut_boxes(detections, track, poses.states[at, 2], sizes)
     second = np.where(cut, np.hypot(COMPLETED_SIGMA_M, sigma), sigma)
-    filtered, smoothed = _estimate_motion(position, second, row, times, agents)
-    poses = compute_poses(smoothed, agents.types, agents.sizes, detections, row, lanes)
-    return _collect_tracks(poses, filtered, agents, row, times, world)
+    filtered, smoothed = _estimate_motion(position, second, rows, times, agents)
+    poses = compute_poses(smoothed, rows, agents, detections, lanes)
+    present = np.zeros((len(types), len(times)), bool)
+    present[rows.agent, rows.step] = True
+    found = {
+        "states": poses.states,
+        "observed": observe_states(filtered, rows, agents, poses),
+        "seen": rows.detection >= 0,
+        "uncertainty": poses.uncertainty,
+    }
+    return Tracks.from_rows(
+        present,
+        found,
+        times=times,
+        sizes=sizes,
+        types=types,
+        ids=tuple(str(number + 1) for number in range(len(types))),
+        world=world,
+    )
 
 
 def _vote(detections: GroundDetections, rows: Int[Array, " m"]) -> str:
@@ -89,61 +92,33 @@ def _vote(detections: GroundDetections, rows: Int[Array, " m"]) -> str:
 def _estimate_motion(
     position: Float[Array, "M 2"],
     sigma: Float[Array, "M"],
-    row: Int[Array, "N T"],
+    rows: TrackRows,
     times: Float[Array, "T"],
     agents: AgentTraits,
 ) -> tuple[TrackMotion, TrackMotion]:
     """Estimate the filtered and the smoothed motion of all agents."""
-    seen = row >= 0
-    positions = np.where(seen[..., None], position[row], np.nan)
-    sigmas = np.where(seen, sigma[row], np.nan)
     noise = agents.acceleration_noise
-    filtered = filter_tracks(times, positions, sigmas, noise, speed_sigma=START_SPEED_SIGMA)
-    return filtered, smooth_tracks(times, filtered, noise)
+    # a row without a detection takes the last one, which is not used
+    measured = position[rows.detection], sigma[rows.detection]
+    filtered = filter_tracks(times, rows, *measured, noise)
+    return filtered, smooth_tracks(times, rows, filtered, noise)
 
 
 def _estimate_sizes(
     agents: AgentTraits,
-    smoothed: TrackMotion,
+    headings: Float[Array, "M"],
     detections: GroundDetections,
-    row: Int[Array, "N T"],
+    of_agent: list[Int[Array, " m"]],
     sigma: Float[Array, "M"],
-) -> AgentTraits:
+) -> Float[Array, "N 2"]:
     """Estimate sizes from whole boxes, with the headings that a typical size gives."""
-    typical = np.array([estimate_size(np.empty((0, 2)), np.empty(0), 1.0, k) for k in agents.types])
-    poses = compute_poses(smoothed, agents.types, typical.reshape(-1, 2), detections, row, None)
-    sizes = typical.reshape(-1, 2).copy()
+    sizes = agents.sizes.copy()
     whole = ~detections.cut.any(axis=(1, 2)) & (detections.extent.min(axis=1) > 0)
-    for agent in range(len(row)):
-        steps = np.flatnonzero(row[agent] >= 0)
-        steps = steps[whole[row[agent, steps]]]
-        used = row[agent, steps]
+    for agent, seen in enumerate(of_agent):
+        used = seen[whole[seen]]
         if len(used) >= MIN_WHOLE_BOXES:
-            turn = poses.headings[agent, steps] - detections.axis[used]
+            turn = headings[used] - detections.axis[used]
             side_sigma = 2 * float(np.median(sigma[used]))
             extent = detections.extent[used]
             sizes[agent] = estimate_size(extent, turn, side_sigma, agents.types[agent])
-    return replace(agents, sizes=sizes)
-
-
-def _collect_tracks(
-    poses: Poses,
-    filtered: TrackMotion,
-    agents: AgentTraits,
-    row: Int[Array, "N T"],
-    times: Float[Array, "T"],
-    world: World,
-) -> Tracks:
-    present = np.isfinite(poses.states[..., 0])
-    return Tracks(
-        times=times,
-        states=poses.states,
-        present=present,
-        sizes=agents.sizes,
-        types=agents.types,
-        ids=tuple(str(number + 1) for number in range(len(row))),
-        world=world,
-        observed=observe_states(filtered, agents.types, agents.sizes, poses),
-        seen=row >= 0,
-        uncertainty=poses.uncertainty,
-    )
+    return sizes
