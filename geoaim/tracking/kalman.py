@@ -6,6 +6,7 @@ them, so that one covariance of position and velocity (2, 2) holds for both coor
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -26,7 +27,7 @@ class TrackRows:
     def list_parts(self) -> list[slice]:
         """List the rows of each agent."""
         ends = self.bounds.tolist()
-        return [slice(*pair) for pair in zip(ends[:-1], ends[1:], strict=True)]
+        return [slice(*pair) for pair in pairwise(ends)]
 
     def list_steps(self) -> list[Int[Array, " r"]]:
         """List the rows of each step that have one before them, in order of time."""
@@ -156,9 +157,7 @@ def filter_tracks(
         noise = acceleration_noise[rows.agent[now]]
         mean[now], covariance[now] = predict(mean[now - 1], covariance[now - 1], dt, noise)
         hit = now[seen[now]]
-        mean[hit], covariance[hit] = update(
-            mean[hit], covariance[hit], positions[hit], sigmas[hit]
-        )
+        mean[hit], covariance[hit] = update(mean[hit], covariance[hit], positions[hit], sigmas[hit])
     return TrackMotion(mean, covariance)
 
 

@@ -21,7 +21,7 @@ from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.tracking.association import associate
 from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_boxes
 from geoaim.tracking.frame_poses import locate_frames
-from geoaim.tracking.ground_detections import place_boxes
+from geoaim.tracking.ground_detections import place_boxes, select_detections
 from geoaim.tracking.noise import DEFAULT_NOISE_PX, estimate_noise
 from geoaim.tracking.standing import Directions
 from geoaim.tracking.states import CUT_SIGMA_M, make_states
@@ -147,6 +147,8 @@ def track_boxes(
             f"{len(track)} detections in {known} of {len(frames)} frames give no track; detections "
             "of the same agents in successive frames are needed"
         )
+    kept = np.flatnonzero(track >= 0)
+    detections, track = select_detections(detections, kept), track[kept]
     tracks = make_states(detections, track, times, world, lanes)
     check_tracks(tracks)
     return tracks

@@ -6,7 +6,7 @@ from numpy import ndarray as Array
 
 from geoaim.base.world import World
 from geoaim.tracking.cut_boxes import complete_cut_boxes
-from geoaim.tracking.ground_detections import GroundDetections, select_detections
+from geoaim.tracking.ground_detections import GroundDetections
 from geoaim.tracking.kalman import TrackMotion, TrackRows, filter_tracks, make_rows, smooth_tracks
 from geoaim.tracking.noise import estimate_noise
 from geoaim.tracking.poses import compute_poses, observe_states
@@ -33,8 +33,8 @@ def make_states(
     border cuts off, which a second pass uses.
 
     Args:
-        detections: detections of all frames.
-        track: number of each detection's agent, from 0; -1 for none.
+        detections: detections of agents.
+        track: number of each detection's agent, from 0.
         times: of the frames, s.
         world: the plane of the positions.
         lanes: directions of lanes, for vehicles that never move; None: not known.
@@ -42,8 +42,6 @@ def make_states(
     Returns:
         The tracks, from each agent's first detection to its last.
     """
-    kept = np.flatnonzero(track >= 0)
-    detections, track = select_detections(detections, kept), track[kept]
     rows = make_rows(track, detections.step)
     at = np.empty(len(track), int)  # the row of each detection
     at[rows.detection[rows.detection >= 0]] = np.flatnonzero(rows.detection >= 0)
@@ -54,12 +52,13 @@ def make_states(
     typical = np.array([get_typical_size(kind) for kind in types]).reshape(-1, 2)
     agents = AgentTraits(types, typical)
     first = np.where(cut, CUT_SIGMA_M, sigma)
-    _, smoothed = _estimate_motion(detections.position, first, rows, times, agents)
-    poses = compute_poses(smoothed, rows, agents, detections, None)
-    sizes = _estimate_sizes(agents, poses.states[at, 2], detections, of_agent, sigma)
+    smoothed = _estimate_motion(detections.position, first, rows, times, agents)[1]
+    heading = compute_poses(smoothed, rows, agents, detections, None).states[at, 2]
+    sizes = _estimate_sizes(agents, heading, detections, of_agent, sigma)
     agents = AgentTraits(types, sizes)
-    poses = compute_poses(smoothed, rows, agents, detections, lanes)
-    position = complete_cut_boxes(detections, track, poses.states[at, 2], sizes)
+    heading = compute_poses(smoothed, rows, agents, detections, lanes).states[at, 2]
+    position = complete_cut_boxes(detections, track, heading, sizes)
+    del smoothed
     second = np.where(cut, np.hypot(COMPLETED_SIGMA_M, sigma), sigma)
     filtered, smoothed = _estimate_motion(position, second, rows, times, agents)
     poses = compute_poses(smoothed, rows, agents, detections, lanes)

@@ -152,3 +152,17 @@ def test_detections_that_give_no_track_are_refused(junction):
     matrices = np.broadcast_to(WORLD_FROM_FRAME, (len(frames), 3, 3))
     with pytest.raises(TracksError, match="0 detections in 100 of 100 frames give no track"):
         track_boxes(frames, matrices, junction.times, junction.world, SIZE)
+
+
+def test_memory_grows_with_what_is_seen_and_not_with_its_square():
+    boxes = np.array([[120.0, 100 * n, 180, 100 * n + 40] for n in range(1, 6)])
+    frames = [
+        DetectedBoxes(boxes + [6 * (step % 25), 0] * 2) if step % 25 > 2 else None
+        for step in range(150)
+    ]
+    matrices = np.broadcast_to(WORLD_FROM_FRAME, (150, 3, 3))
+    found = track_boxes(frames, matrices, np.arange(150) / 25, World(None), SIZE)
+    assert len(found.ids) == 30
+    assert len(found.to_dataframe()) == found.present.sum() == 30 * 22
+    assert "states" not in vars(found)  # N times T values are not made unless they are asked for
+    np.testing.assert_array_equal(found.states[found.present], found.get_rows("states"))
