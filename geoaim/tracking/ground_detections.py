@@ -32,6 +32,15 @@ class GroundDetections:
     types: Shaped[Array, " M"]  # agent types, "" if unknown
     ids: Shaped[Array, " M"]  # ids that a tracker gave, "" if none
 
+    def find_outward(self) -> Float[Array, "M 2"]:
+        """Find unit vectors to the border that may cut off each box; 0 where none may."""
+        ends = self.cut.astype(float)
+        right = np.column_stack([np.cos(self.axis), np.sin(self.axis)])
+        outward = right * (ends[:, :1, 1] - ends[:, :1, 0])
+        outward += self.down * (ends[:, 1:, 1] - ends[:, 1:, 0])
+        length = np.hypot(*outward.T)[:, None]
+        return np.asarray(outward / np.maximum(length, 1e-9) * (length > 0.5))
+
 
 def place_boxes(
     frames: Sequence[DetectedBoxes | None],

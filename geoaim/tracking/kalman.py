@@ -68,7 +68,7 @@ class TrackMotion:
 def predict(
     mean: Float[Array, "n 2 2"],
     covariance: Float[Array, "n 2 2"],
-    dt: float,
+    dt: float | Float[Array, "n"],
     acceleration_noise: Float[Array, "n"],
 ) -> tuple[Float[Array, "n 2 2"], Float[Array, "n 2 2"]]:
     """Predict tracks.
@@ -82,10 +82,16 @@ def predict(
     Returns:
         Mean and covariance then.
     """
-    transition = np.array([[1.0, dt], [0.0, 1.0]])
-    noise = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    spread = transition @ covariance @ transition.T
-    return transition @ mean, spread + acceleration_noise[:, None, None] * noise
+    ahead, spread = mean.copy(), covariance.copy()
+    dts = np.broadcast_to(dt, len(mean))
+    ahead[:, 0] += dts[:, None] * mean[:, 1]
+    spread[:, 0] += dts[:, None] * covariance[:, 1]
+    spread[:, :, 0] += dts[:, None] * spread[:, :, 1]
+    spread[:, 0, 0] += acceleration_noise * dts**3 / 3
+    spread[:, 0, 1] += acceleration_noise * dts**2 / 2
+    spread[:, 1, 0] += acceleration_noise * dts**2 / 2
+    spread[:, 1, 1] += acceleration_noise * dts
+    return ahead, spread
 
 
 def update(

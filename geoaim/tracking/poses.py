@@ -11,12 +11,19 @@ from geoaim.tracking.ground_detections import GroundDetections
 from geoaim.tracking.headings import REAR_AXLE_SHARE, compute_headings, observe_headings
 from geoaim.tracking.kalman import TrackMotion, TrackRows
 from geoaim.tracking.sizes import AgentTraits, get_typical_size
-from geoaim.tracking.standing import UNKNOWN_SIGMA_RAD, Directions, find_standing_heading
+from geoaim.tracking.standing import (
+    LINE_SIGMA_RAD,
+    UNKNOWN_SIGMA_RAD,
+    Directions,
+    find_standing_heading,
+)
 from geoaim.tracks.agent_types import find_group
 from geoaim.tracks.tracks import estimate_heading
 
 MAX_REVERSE_SPEED = 3.5  # m/s; a faster vehicle drives forward
 MAX_OBSERVED_SPEED_SIGMA = 0.6  # m/s; a less certain speed is not known yet
+MIN_FORWARD_M = 3.0  # over which it does
+MIN_TRAVEL_M = 1.5  # of a vehicle that does not stand all the time
 ORIENTED_SIGMA_RAD = 0.05  # of the heading of an oriented box
 
 
@@ -26,7 +33,6 @@ class Poses:
 
     states: Float[Array, "S 4"]  # x, y, heading, speed
     uncertainty: Float[Array, "S 2"]  # standard deviations of a coordinate (m), heading (rad)
-    standing: Float[Array, " N"]  # heading before a vehicle moves, rad; NaN if it is unknown
 
 
 def compute_poses(
@@ -49,7 +55,6 @@ def compute_poses(
         The poses.
     """
     heading, sigma = np.empty(len(rows.step)), np.empty(len(rows.step))
-    before = np.full(len(agents.types), np.nan)
     turning = np.array([turns_on_spot(kind) for kind in agents.types], bool)
     for agent, part in enumerate(rows.list_parts()):
         motion = TrackMotion(smoothed.mean[part], smoothed.covariance[part])
@@ -57,10 +62,7 @@ def compute_poses(
             heading[part], sigma[part] = _compute_directions(motion)
             continue
         seen = rows.detection[part]
-        typical = get_typical_size(agents.types[agent])
-        standing = _find_heading(detections, seen[seen >= 0], typical, lanes)
-        if standing[1] < UNKNOWN_SIGMA_RAD:
-            before[agent] = standing[0]
+        standing = find_standing(detections, seen[seen >= 0], agents.types[agent], lanes)
         length = float(agents.sizes[agent, 0])
         found = _compute_vehicle_headings(motion, length, standing)
         heading[part], sigma[part] = found
@@ -72,7 +74,7 @@ def compute_poses(
     )
     states = np.column_stack([smoothed.mean[:, 0], heading, speed])
     spread = np.sqrt(smoothed.covariance[:, 0, 0])
-    return Poses(states, np.column_stack([spread, sigma]), before)
+    return Poses(states, np.column_stack([spread, sigma]))
 
 
 def turns_on_spot(kind: str) -> bool:
@@ -81,7 +83,7 @@ def turns_on_spot(kind: str) -> bool:
 
 
 def observe_states(
-    filtered: TrackMotion, rows: TrackRows, agents: AgentTraits, poses: Poses
+    filtered: TrackMotion, rows: TrackRows, agents: AgentTraits, standing: Float[Array, "N"]
 ) -> Float[Array, "S 4"]:
     """Compute the states that are known at each time.
 
@@ -89,20 +91,19 @@ def observe_states(
         filtered: motion that knows the detections until each time.
         rows: of the agents.
         agents: their types and sizes.
-        poses: which hold the heading of a vehicle before it moves.
+        standing: heading of each vehicle before it moves, rad; NaN if it is unknown.
 
     Returns:
         The states; NaN where the heading or the speed is not known yet.
     """
-    observed = np.full(poses.states.shape, np.nan)
+    observed = np.full((len(rows.step), 4), np.nan)
     for agent, part in enumerate(rows.list_parts()):
         path, velocity = filtered.mean[part, 0], filtered.mean[part, 1]
         if turns_on_spot(agents.types[agent]):
             heading = estimate_heading(velocity[None], causal=True)[0]
             speed = np.hypot(*velocity.T)
         else:
-            standing = float(poses.standing[agent])
-            given = None if np.isnan(standing) else standing
+            given = None if np.isnan(standing[agent]) else float(standing[agent])
             heading = observe_headings(path, float(agents.sizes[agent, 0]), given)
             speed = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
         states = np.column_stack([path, wrap_angle(heading), speed])
@@ -128,30 +129,42 @@ def _compute_vehicle_headings(
     `standing` has both for the vehicle before it moves. A vehicle that drives faster than
     `MAX_REVERSE_SPEED` drives forward; where a slower one moves, its sense is that of `standing`.
     """
-    speed = np.hypot(*motion.mean[:, 1].T)
-    may_reverse = speed.max() < MAX_REVERSE_SPEED
-    facing = standing[0] if may_reverse and standing[1] < UNKNOWN_SIGMA_RAD else None
-    headings = compute_headings(motion.mean[:, 0], motion.mean[:, 1], length, facing)
+    path, velocity = motion.mean[:, 0], motion.mean[:, 1]
+    fast = path[np.hypot(*velocity.T) > MAX_REVERSE_SPEED]
+    forward = len(fast) > 0 and np.hypot(*np.ptp(fast, axis=0)) > MIN_FORWARD_M
+    known = standing[1] < LINE_SIGMA_RAD
+    headings = None
+    if np.hypot(*np.ptp(path, axis=0)) > MIN_TRAVEL_M:
+        headings = compute_headings(path, velocity, length, standing[0] if known else None)
     if headings is None:
-        return np.full(len(speed), standing[0]), np.full(len(speed), standing[1])
+        return np.full(len(path), standing[0]), np.full(len(path), standing[1])
+    if forward and np.cos(headings - np.arctan2(*velocity.T[::-1])) @ np.hypot(*velocity.T) < 0:
+        headings = compute_headings(path, velocity, length, None)  # a lane of the other way
     sigma = np.sqrt(motion.covariance[:, 0, 0]) / (REAR_AXLE_SHARE * length)
-    least = UNKNOWN_SIGMA_RAD if may_reverse and facing is None else 0.0
+    least = 0.0 if forward or known else LINE_SIGMA_RAD
     return wrap_angle(headings), np.clip(sigma, least, UNKNOWN_SIGMA_RAD)
 
 
-def _find_heading(
-    detections: GroundDetections,
-    rows: Int[Array, " m"],
-    size: tuple[float, float],
-    lanes: Directions | None,
+def find_standing(
+    detections: GroundDetections, seen: Int[Array, " m"], kind: str, lanes: Directions | None
 ) -> tuple[float, float]:
-    """Find the heading of a vehicle that never moves, and its standard deviation, rad."""
-    middle = np.median(detections.position[rows], axis=0)
-    extent = np.median(detections.extent[rows], axis=0)
-    double = np.exp(2j * detections.axis[rows]).mean()
-    axis = float(np.angle(double) / 2)
-    heading, sigma = find_standing_heading(middle, axis, extent, size, lanes)
-    if detections.oriented[rows].all():
-        facing = axis if np.cos(heading - axis) >= 0 or sigma == UNKNOWN_SIGMA_RAD else axis + np.pi
-        return facing, ORIENTED_SIGMA_RAD if sigma < UNKNOWN_SIGMA_RAD else sigma
+    """Find the heading of a vehicle where it stands, and its standard deviation, rad.
+
+    Args:
+        detections: all detections.
+        seen: which are of the vehicle.
+        kind: its type.
+        lanes: directions of lanes; None: not known.
+
+    Returns:
+        As `find_standing_heading`, but for oriented boxes, which tell its line.
+    """
+    middle = np.median(detections.position[seen], axis=0)
+    extent = np.median(detections.extent[seen], axis=0)
+    axis = float(np.angle(np.exp(2j * detections.axis[seen]).mean()) / 2)
+    heading, sigma = find_standing_heading(middle, axis, extent, get_typical_size(kind), lanes)
+    if detections.oriented[seen].all():
+        known = sigma < LINE_SIGMA_RAD
+        facing = axis if np.cos(heading - axis) >= 0 or not known else axis + np.pi
+        return facing, ORIENTED_SIGMA_RAD if known else LINE_SIGMA_RAD
     return heading, sigma

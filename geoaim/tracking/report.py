@@ -6,7 +6,7 @@ from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
 from geoaim.base.geometry import transform_points
-from geoaim.tracking.standing import UNKNOWN_SIGMA_RAD
+from geoaim.tracking.standing import LINE_SIGMA_RAD
 from geoaim.tracks.tracks import Tracks
 
 
@@ -31,5 +31,5 @@ def find_unknown_headings(tracks: Tracks) -> Bool[Array, " N"]:
     unknown = np.zeros(len(tracks.ids), bool)
     if (uncertainty := tracks.get_rows("uncertainty")) is not None:
         agent = np.nonzero(tracks.present)[0]
-        unknown[agent[uncertainty[:, 1] >= UNKNOWN_SIGMA_RAD]] = True
+        unknown[agent[uncertainty[:, 1] >= LINE_SIGMA_RAD]] = True
     return unknown
