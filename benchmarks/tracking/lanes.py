@@ -117,5 +117,5 @@ def _drive(
         states[(rear < 0) | (rear > length - 0.5)] = np.nan
         if np.isfinite(states).any():
             found.append((states, kind, size))
-        behind += size[0] + generator.uniform(4, 25)
+        behind += size[0] + generator.uniform(5, 60)
     return found

@@ -98,8 +98,9 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
         matched, columns = matched[fits], columns[fits]
         track[rows[columns]] = active.number[matched]
         active = _update(active, matched, _select(new, columns), sigma[rows[columns]])
-        counts = active.hits[matched] == needed
-        counts &= needed >= MIN_HIT_SHARE * (step - active.born[matched] + 1)
+        counts = (active.hits[matched] >= needed) & (confirmed[active.number[matched]] < 0)
+        age = step - active.born[matched] + 1
+        counts &= active.hits[matched] >= MIN_HIT_SHARE * age
         confirmed[active.number[matched[counts]]] = step
         born = np.setdiff1d(np.arange(len(rows)), columns)
         born = born[~(detections.score[rows[born]] < least_score)]
