@@ -20,11 +20,14 @@ CUT_SIGMA_M = 1.5  # of the middle of a box that the frame's border may cut off,
 MISS_COST, BIRTH_COST, BORDER_BIRTH_COST = 4.6, 13.8, 9.2
 SIZE_SIGMA = 0.3  # of the logarithm of a box's side, between frames
 MAX_SIZE_COST, TYPE_COST = 6.0, 3.0
-MAX_GAP_S = 2.0  # a track ends when it is not seen for longer
+MAX_GAP_S, MAX_GAP_STEPS = (
+    0.6,
+    2.5,
+)  # a track ends when it is not seen for longer; it may be joined to a later one
 LEFT_M = 3.0  # beyond its last box at the border an agent has left the frame
 CONFIRMING_HITS = 3  # detections after which a track may be missed for so long
 MAX_FIRST_MISSES = 2  # frames without a detection after which a track ends before that
-MIN_HITS, MIN_SLOW_HITS = 5, 4  # of a track, and where frames are seldom; fewer are false boxes
+MIN_HITS, MIN_SLOW_HITS = 5, 3  # of a track, and where frames are seldom; fewer are false boxes
 MIN_HIT_SHARE = 0.4  # of its frames until then
 MIN_START_SCORE = 0.4  # of a detection that starts a track, or the median one
 LEARNING_STEPS, MEMORY = 25, 4000  # frames after which noise and scores are learnt; boxes of them
@@ -75,8 +78,9 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
     sigma = np.empty(len(track))
     outward = detections.find_outward()
     cut = detections.cut.any(axis=(1, 2))
-    slow = len(times) > 1 and times[1] - times[0] > SLOW_DT
-    needed = MIN_SLOW_HITS if slow else MIN_HITS
+    usual_dt = float(times[1] - times[0]) if len(times) > 1 else 0.0
+    needed = MIN_SLOW_HITS if usual_dt > SLOW_DT else MIN_HITS
+    max_gap = max(MAX_GAP_S, MAX_GAP_STEPS * usual_dt)
     bounds = np.searchsorted(detections.step, np.arange(len(times) + 1))
     active = _describe(detections, np.empty(0, int), sigma, outward, 0.0)
     noise, least_score = DEFAULT_NOISE_PX, 0.0
@@ -108,7 +112,7 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
         numbers = track[rows[born]]
         started = replace(_select(new, born), number=numbers, born=np.full(len(born), step))
         confirmed = np.concatenate([confirmed, np.full(len(born), -1)])
-        active = _drop_lost(_join(active, started), time)
+        active = _drop_lost(_join(active, started), time, max_gap)
     counted = confirmed >= 0
     number = np.where(counted, np.cumsum(counted) - 1, -1)
     track = np.where(track >= 0, np.append(number, -1)[track], -1)
@@ -205,10 +209,8 @@ def _update(
     return _Candidates(**values)
 
 
-def _drop_lost(active: _Candidates, time: float) -> _Candidates:
+def _drop_lost(active: _Candidates, time: float, max_gap: float) -> _Candidates:
     confirmed = active.hits >= CONFIRMING_HITS
-    lasting = np.where(
-        confirmed, time - active.seen <= MAX_GAP_S, active.misses <= MAX_FIRST_MISSES
-    )
+    lasting = np.where(confirmed, time - active.seen <= max_gap, active.misses <= MAX_FIRST_MISSES)
     beyond = ((active.mean[:, 0] - active.last) * active.outward).sum(axis=1)
     return _select(active, lasting & (beyond < LEFT_M))

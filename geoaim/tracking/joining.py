@@ -13,12 +13,12 @@ from geoaim.tracking.kalman import TrackMotion, TrackRows, predict
 from geoaim.tracks.agent_types import find_group
 
 MAX_GAP_S = 10.0  # between two tracks of one agent that moves
-JOIN_NOISE = 3.0  # m²/s³; spectral density of the acceleration of an agent that is lost
+JOIN_NOISE = 6.0  # m²/s³; spectral density of the acceleration of an agent that is lost
 MAX_DISTANCE = 25.0  # squared, in standard deviations
 STANDING_SPEED = 0.7  # m/s
 STANDING_SIGMAS = (0.5, 0.7)  # m and m/s, of what stood before and after, for however long
 # minus twice the log of: an end and a start inside the frame; less for each one at the border
-UNJOINED_COST, BORDER_GAIN = 32.0, 8.0
+UNJOINED_COST, BORDER_GAIN = 34.0, 8.0
 SIZE_SIGMA, GROUP_COST, TYPE_COST = 0.2, 10.0, 2.0
 
 

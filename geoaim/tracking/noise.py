@@ -10,6 +10,7 @@ DEFAULT_NOISE_PX = 2.0  # of a coordinate of a box's middle, where too few detec
 MIN_NOISE_PX = 0.3
 MIN_TRIPLES = 30  # detections in three successive frames that tell the noise
 SLOW_DT = 0.2  # s; time between frames in which agents accelerate by more than the noise
+ABSORBED = 1.25  # lasting errors over those that sizes, estimated from the same boxes, leave
 LASTING_MARGIN = 1.2  # by which extents scatter more than middles without lasting errors
 NORMAL_SCALE = 1.4826  # standard deviation of a normal distribution over its median distance
 
@@ -65,4 +66,5 @@ def estimate_lasting_noise(
         return 0.0
     pixels = residual / resolution[:, None]
     spread = NORMAL_SCALE * float(np.median(np.abs(pixels - np.median(pixels, axis=0)))) / 2
-    return float(np.sqrt(max(spread**2 - (LASTING_MARGIN * noise) ** 2, 0.0)))
+    lasting = np.sqrt(max(spread**2 - (LASTING_MARGIN * noise) ** 2, 0.0))
+    return float(ABSORBED * lasting)

@@ -26,7 +26,7 @@ from geoaim.tracks.tracks import Tracks
 
 MIN_WHOLE_BOXES = 5  # that tell a size; fewer may be of something else
 MAX_TURN_SINE = 0.2  # of agents whose extents tell errors of boxes
-LASTING_TURN = 0.5  # share of a lasting error that changes while the rear axle is pulled along
+LASTING_TURN = 0.6  # share of a lasting error that changes while the rear axle is pulled along
 COMPLETED_SIGMA_M = 0.2  # of one that has been completed by the agent's size
 
 
