@@ -77,7 +77,7 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
     track, confirmed = np.full(len(detections.step), -1), np.empty(0, int)
     sigma = np.empty(len(track))
     outward = detections.find_outward()
-    cut = detections.cut.any(axis=(1, 2))
+    cut = detections.may_be_cut
     usual_dt = float(times[1] - times[0]) if len(times) > 1 else 0.0
     needed = MIN_SLOW_HITS if usual_dt > SLOW_DT else MIN_HITS
     max_gap = max(MAX_GAP_S, MAX_GAP_STEPS * usual_dt)
@@ -87,11 +87,11 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
     for step, time in enumerate(times.tolist()):
         rows = np.arange(bounds[step], bounds[step + 1])
         if step % LEARNING_STEPS == 0:
-            past = slice(max(0, int(bounds[step]) - MEMORY), int(bounds[step]))
+            past = np.arange(max(0, bounds[step] - MEMORY), bounds[step])
             found = estimate_noise(select_detections(detections, past), track[past], times)
             noise = max(NOISE_MARGIN * found, DEFAULT_NOISE_PX)
-            scores = detections.score[past.start : bounds[step + 1]]
-            scores = scores[np.isfinite(scores)]
+            scores = detections.score[max(0, bounds[step] - MEMORY) : bounds[step + 1]]
+            scores = scores[~np.isnan(scores)]
             least_score = min(MIN_START_SCORE, float(np.median(scores))) if len(scores) else 0.0
         sigma[rows] = np.where(cut[rows], CUT_SIGMA_M, noise * detections.resolution[rows])
         new = _describe(detections, rows, sigma, outward, time)

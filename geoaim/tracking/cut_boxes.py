@@ -29,7 +29,7 @@ def complete_cut_boxes(
         Positions, m.
     """
     position = detections.position.copy()
-    for row in np.flatnonzero(detections.cut.any(axis=(1, 2))):
+    for row in np.flatnonzero(detections.may_be_cut):
         agent, axis = track[row], detections.axis[row]
         turn = headings[row] - axis
         whole = predict_extents(sizes[agent], np.array([turn]))[0]

@@ -32,6 +32,11 @@ class GroundDetections:
     types: Shaped[Array, " M"]  # agent types, "" if unknown
     ids: Shaped[Array, " M"]  # ids that a tracker gave, "" if none
 
+    @property
+    def may_be_cut(self) -> Bool[Array, " M"]:
+        """Whether the frame's border may cut off each box."""
+        return np.asarray(self.cut.any(axis=(1, 2)))
+
     def find_outward(self) -> Float[Array, "M 2"]:
         """Find unit vectors to the border that may cut off each box; 0 where none may."""
         ends = self.cut.astype(float)

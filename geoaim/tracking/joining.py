@@ -123,7 +123,7 @@ def _compare(
 def _measure_sides(detections: GroundDetections, rows: TrackRows) -> Float[Array, "N"]:
     """Measure the logarithm of each track's mean side, by its whole boxes; NaN without any."""
     sides = np.log(np.maximum(detections.extent.prod(axis=1), 1e-6)) / 2
-    sides[detections.cut.any(axis=(1, 2))] = np.nan
+    sides[detections.may_be_cut] = np.nan
     found = np.full(len(rows.bounds) - 1, np.nan)
     for number, part in enumerate(rows.list_parts()):
         seen = rows.detection[part]

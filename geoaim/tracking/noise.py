@@ -34,7 +34,7 @@ def estimate_noise(
     if len(times) < 2 or times[1] - times[0] > SLOW_DT:
         return DEFAULT_NOISE_PX
     order = np.lexsort((detections.step, track))
-    order = order[(track[order] >= 0) & ~detections.cut[order].any(axis=(1, 2))]
+    order = order[(track[order] >= 0) & ~detections.may_be_cut[order]]
     step, agent = detections.step[order], track[order]
     pixels = detections.position[order] / detections.resolution[order, None]
     triple = (agent[2:] == agent[:-2]) & (step[2:] - step[:-2] == 2)

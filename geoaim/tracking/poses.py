@@ -138,8 +138,9 @@ def _compute_vehicle_headings(
         headings = compute_headings(path, velocity, length, standing[0] if known else None)
     if headings is None:
         return np.full(len(path), standing[0]), np.full(len(path), standing[1])
-    if forward and np.cos(headings - np.arctan2(*velocity.T[::-1])) @ np.hypot(*velocity.T) < 0:
-        headings = compute_headings(path, velocity, length, None)  # a lane of the other way
+    if forward and (velocity[:, 0] @ np.cos(headings) + velocity[:, 1] @ np.sin(headings)) < 0:
+        turned = compute_headings(path, velocity, length, None)  # a lane of the other way
+        headings = headings if turned is None else turned
     sigma = np.sqrt(motion.covariance[:, 0, 0]) / (REAR_AXLE_SHARE * length)
     least = 0.0 if forward or known else LINE_SIGMA_RAD
     return wrap_angle(headings), np.clip(sigma, least, UNKNOWN_SIGMA_RAD)

@@ -62,7 +62,7 @@ def make_states(
     at[rows.detection[rows.detection >= 0]] = np.flatnonzero(rows.detection >= 0)
     noise = estimate_noise(detections, track, times)
     sigma = noise * detections.resolution
-    cut = detections.cut.any(axis=(1, 2))
+    cut = detections.may_be_cut
     seen = _list_detections(rows)
     agents = _describe_agents(detections, seen)
     first = np.where(cut, CUT_SIGMA_M, sigma)
@@ -143,7 +143,7 @@ def _describe_agents(
     turn: Float[Array, "M"] | None = None,
 ) -> AgentTraits:
     """Describe agents by the types of their detections, with the sizes that are typical of them."""
-    cut = detections.cut.any(axis=(1, 2))
+    cut = detections.may_be_cut
     types = []
     for part in seen:
         whole = part[~cut[part]]
@@ -178,7 +178,7 @@ def _estimate_sizes(
 ) -> tuple[AgentTraits, Float[Array, "N"]]:
     """Estimate sizes from whole boxes by these headings, and how far off the lengths may be, m."""
     sizes, off = agents.sizes.copy(), SIZE_SIGMA * agents.sizes[:, 0]
-    whole = ~detections.cut.any(axis=(1, 2)) & (detections.extent.min(axis=1) > 0)
+    whole = ~detections.may_be_cut & (detections.extent.min(axis=1) > 0)
     for agent, part in enumerate(seen):
         used = part[whole[part]]
         if len(used) >= MIN_WHOLE_BOXES:
@@ -202,7 +202,7 @@ def _measure_lasting(
     length, width = sizes.T
     should = np.column_stack([cosine * length + sine * width, sine * length + cosine * width])
     # of a turned agent the extents scatter by its heading too
-    usable = ~detections.cut.any(axis=(1, 2)) & (np.minimum(cosine, sine) < MAX_TURN_SINE)
+    usable = ~detections.may_be_cut & (np.minimum(cosine, sine) < MAX_TURN_SINE)
     lasting = estimate_lasting_noise(
         (detections.extent - should)[usable], detections.resolution[usable], noise
     )
