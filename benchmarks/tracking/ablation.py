@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
+import numpy as np
 import typer
 
 from benchmarks.results import JsonFile, print_rows, write_rows
@@ -24,7 +25,7 @@ from benchmarks.tracking.benchmark import (
 from benchmarks.tracking.cases import DetectorErrors, TrackingCase, make_drawn_case
 from geoaim.tracking.noise import DEFAULT_NOISE_PX
 from geoaim.tracking.pipeline import track_boxes
-from geoaim.tracking.states import ACCELERATION_NOISE
+from geoaim.tracking.sizes import ACCELERATION_NOISE
 
 SIZE = (1080, 1920)
 NOISY = DetectorErrors(noise_px=4.0)
@@ -33,18 +34,18 @@ Change = tuple[str, str, Any]  # module of the tracking, name and value
 
 def _scale_noise(factor: float) -> list[Change]:
     values = {group: factor * value for group, value in ACCELERATION_NOISE.items()}
-    return [("states", "ACCELERATION_NOISE", values)]
+    return [("sizes", "ACCELERATION_NOISE", values)]
 
 
 CHANGES: Mapping[str, list[Change]] = {
     "geoaim": [],
     "without smoothing back in time": [
-        ("states", "smooth_tracks", lambda t, filtered, n: filtered)
+        ("states", "smooth_tracks", lambda t, rows, filtered, n: filtered)
     ],
     "acceleration noise x 1/4": _scale_noise(0.25),
     "acceleration noise x 4": _scale_noise(4.0),
     "noise of the boxes not estimated": [
-        ("states", "estimate_noise", lambda d, t: DEFAULT_NOISE_PX)
+        ("states", "estimate_noise", lambda d, t, times: DEFAULT_NOISE_PX)
     ],
     "heading of the motion of the middle": [("poses", "turns_on_spot", lambda kind: True)],
     "rear axle at 0.2 of the length": [
@@ -54,10 +55,16 @@ CHANGES: Mapping[str, list[Change]] = {
     "sizes without the Huber weights": [("sizes", "MAX_ERRORS", 1e9)],
     "cut boxes not completed": [("states", "complete_cut_boxes", lambda d, t, h, s: d.position)],
     "cut boxes as any others": [("ground_detections", "BORDER_PX", -1e9)],
-    "gaps of 0.2 s at most": [("association", "MAX_GAP_S", 0.2)],
+    "gaps of 2 s as the frames come": [("association", "MAX_GAP_S", 2.0)],
+    "tracks not joined": [
+        ("states", "join_tracks", lambda motion, rows, types, d, t: np.arange(len(types)))
+    ],
+    "sizes and types not compared": [
+        ("association", "MAX_SIZE_COST", 0.0),
+        ("association", "TYPE_COST", 0.0),
+    ],
     "gate of 3 standard deviations": [("association", "GATE", 9.0)],
     "gate of 5 standard deviations": [("association", "GATE", 25.0)],
-    "one association, of noise as assumed": [("pipeline", "ASSOCIATIONS", 1)],
 }
 
 

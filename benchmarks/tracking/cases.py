@@ -17,6 +17,7 @@ from geoaim.tracks.tracks import Tracks
 FRAME_RATE = 25.0  # Hz
 DRIFT_PX = 10.0  # of the camera
 MIN_BOX_PX = 2.0  # a smaller part of an agent in the frame is not visible
+MIN_SEEN = 35  # frames before and after an agent is hidden
 CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
 
 
@@ -28,6 +29,11 @@ class DetectorErrors:
     false: float = 0.05  # false boxes, as a share of the true ones
     noise_px: float = 2.0  # standard deviation of each side of a box
     types: bool = True  # whether boxes have types
+    burst: float = 1.0  # mean length of misses, frames
+    lasting_px: float = 0.0  # standard deviation of each side's error that lasts
+    lasting_s: float = 1.5  # how long it does
+    doubled: float = 0.0  # share of boxes that come twice
+    lost_s: float = 0.0  # for how long each agent is hidden once
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,11 +74,35 @@ def make_drawn_case(
     matrices[:, 0, 2] = (left + right - size[1] * step) / 2 + step * drift
     matrices[:, 1, 2] = (bottom + top + size[0] * step) / 2
     world_from_frame = place.world_from_plan @ matrices
+    generator = np.random.default_rng(seed)
+    name = f"{kind} {size[1]} px"
+    return make_case_of(name, truth, world_from_frame, size, errors, generator)
+
+
+def make_case_of(
+    name: str,
+    truth: Tracks,
+    world_from_frame: Float[Array, "T 3 3"],
+    size: tuple[int, int],
+    errors: DetectorErrors,
+    generator: np.random.Generator,
+) -> TrackingCase:
+    """Make the boxes of agents in frames whose poses are exact.
+
+    Args:
+        name: of the case.
+        truth: the agents.
+        world_from_frame: transforms from pixels to metres.
+        size: (height, width) of the frames, pixels.
+        errors: of the detector.
+        generator: source of the errors.
+
+    Returns:
+        The case.
+    """
     frame_from_world = np.linalg.inv(world_from_frame)
     boxes, visible = project_boxes(truth, frame_from_world, size)
-    generator = np.random.default_rng(seed)
     found = detect_boxes(boxes, visible, truth.types, errors, size, generator)
-    name = f"{kind} {size[1]} px"
     return TrackingCase(name, truth, frame_from_world, world_from_frame, found, size)
 
 
@@ -131,11 +161,21 @@ def detect_boxes(
         The boxes of each frame.
     """
     frames = []
+    agents, steps = visible.shape
+    hidden = _draw_misses((agents, steps), errors, generator) | _hide_once(
+        visible, round(errors.lost_s * FRAME_RATE), generator
+    )
+    keep = np.exp(-1 / (FRAME_RATE * errors.lasting_s))
+    lasting = errors.lasting_px * generator.standard_normal((agents, 4))
     limits = np.tile(np.array(size[::-1], float), 2)
-    for step in range(boxes.shape[1]):
+    for step in range(steps):
         shown = np.flatnonzero(visible[:, step])
-        hit = shown[generator.uniform(size=len(shown)) >= errors.misses]
-        found = boxes[hit, step] + errors.noise_px * generator.standard_normal((len(hit), 4))
+        hit = shown[~hidden[shown, step]]
+        hit = np.concatenate([hit, hit[generator.uniform(size=len(hit)) < errors.doubled]])
+        fresh = errors.lasting_px * generator.standard_normal((agents, 4))
+        lasting = keep * lasting + np.sqrt(1 - keep**2) * fresh
+        found = boxes[hit, step] + lasting[hit]
+        found = found + errors.noise_px * generator.standard_normal((len(hit), 4))
         count = generator.binomial(max(len(shown), 1), errors.false)
         source = boxes[generator.choice(shown, count), step] if len(shown) else np.empty((0, 4))
         extent = source[:, 2:] - source[:, :2]
@@ -147,3 +187,31 @@ def detect_boxes(
         rows[:, 2:] = np.maximum(rows[:, 2:], rows[:, :2] + 1)
         frames.append(DetectedBoxes(rows, types=tuple(named) if errors.types else ()))
     return frames
+
+
+def _draw_misses(
+    shape: tuple[int, int], errors: DetectorErrors, generator: np.random.Generator
+) -> Bool[Array, "N T"]:
+    """Draw which boxes are missed, in bursts of a mean length."""
+    end = 1 / errors.burst
+    begin = min(end * errors.misses / max(1 - errors.misses, 1e-9), 1.0)
+    missed = np.empty(shape, bool)
+    state = generator.uniform(size=shape[0]) < errors.misses
+    for step in range(shape[1]):
+        missed[:, step] = state
+        draw = generator.uniform(size=shape[0])
+        state = np.where(state, draw >= end, draw < begin)
+    return missed
+
+
+def _hide_once(
+    visible: Bool[Array, "N T"], length: int, generator: np.random.Generator
+) -> Bool[Array, "N T"]:
+    """Choose one time of `length` frames within each agent's own in which it is hidden."""
+    hidden = np.zeros(visible.shape, bool)
+    for agent in range(len(visible)):
+        steps = np.flatnonzero(visible[agent])
+        if length and len(steps) > length + 2 * MIN_SEEN:
+            begin = steps[0] + generator.integers(MIN_SEEN, len(steps) - length - MIN_SEEN)
+            hidden[agent, begin : begin + length] = True
+    return hidden

@@ -11,7 +11,7 @@ from geoaim.tracking.sizes import predict_extents
 def complete_cut_boxes(
     detections: GroundDetections,
     track: Int[Array, "M"],
-    headings: Float[Array, "N T"],
+    headings: Float[Array, "M"],
     sizes: Float[Array, "N 2"],
 ) -> Float[Array, "M 2"]:
     """Move the middles of cut boxes to where those of the whole boxes are.
@@ -22,16 +22,16 @@ def complete_cut_boxes(
     Args:
         detections: detections in the world.
         track: number of each detection's agent.
-        headings: of the agents, rad.
+        headings: of the agents at their detections, rad.
         sizes: of the agents, m.
 
     Returns:
         Positions, m.
     """
     position = detections.position.copy()
-    for row in np.flatnonzero(detections.cut.any(axis=(1, 2))):
+    for row in np.flatnonzero(detections.may_be_cut):
         agent, axis = track[row], detections.axis[row]
-        turn = headings[agent, detections.step[row]] - axis
+        turn = headings[row] - axis
         whole = predict_extents(sizes[agent], np.array([turn]))[0]
         missing = np.maximum(whole - detections.extent[row], 0.0)
         # the start of a side cut off: the middle moves against the side; its end: along it

@@ -32,6 +32,20 @@ class GroundDetections:
     types: Shaped[Array, " M"]  # agent types, "" if unknown
     ids: Shaped[Array, " M"]  # ids that a tracker gave, "" if none
 
+    @property
+    def may_be_cut(self) -> Bool[Array, " M"]:
+        """Whether the frame's border may cut off each box."""
+        return np.asarray(self.cut.any(axis=(1, 2)))
+
+    def find_outward(self) -> Float[Array, "M 2"]:
+        """Find unit vectors to the border that may cut off each box; 0 where none may."""
+        ends = self.cut.astype(float)
+        right = np.column_stack([np.cos(self.axis), np.sin(self.axis)])
+        outward = right * (ends[:, :1, 1] - ends[:, :1, 0])
+        outward += self.down * (ends[:, 1:, 1] - ends[:, 1:, 0])
+        length = np.hypot(*outward.T)[:, None]
+        return np.asarray(outward / np.maximum(length, 1e-9) * (length > 0.5))
+
 
 def place_boxes(
     frames: Sequence[DetectedBoxes | None],

@@ -6,26 +6,69 @@ them, so that one covariance of position and velocity (2, 2) holds for both coor
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 START_SPEED_SIGMA = 8.0  # m/s, of each component of a velocity that is not known yet
 
 
 @dataclass(frozen=True, eq=False)
-class TrackMotion:
-    """Estimated motion of N tracks at T times; NaN outside the track."""
+class TrackRows:
+    """A row for each agent and step from its first detection to its last; S rows, by agent."""
 
-    mean: Float[Array, "*N T 2 2"]  # position (m) and velocity (m/s), each x and y
-    covariance: Float[Array, "*N T 2 2"]  # of position and velocity, in one coordinate
+    agent: Int[Array, " S"]
+    step: Int[Array, " S"]
+    detection: Int[Array, " S"]  # number of the agent's detection; -1 where it has none
+    bounds: Int[Array, " n"]  # number of each agent's first row, and that of all rows
+
+    def list_parts(self) -> list[slice]:
+        """List the rows of each agent."""
+        ends = self.bounds.tolist()
+        return [slice(*pair) for pair in pairwise(ends)]
+
+    def list_steps(self) -> list[Int[Array, " r"]]:
+        """List the rows of each step that have one before them, in order of time."""
+        follows = np.ones(len(self.step), bool)
+        follows[self.bounds[:-1]] = False
+        order = np.argsort(self.step, kind="stable")
+        order = order[follows[order]]
+        edges = np.flatnonzero(np.diff(self.step[order])) + 1
+        return [part for part in np.split(order, edges) if len(part)]
+
+
+def make_rows(track: Int[Array, "M"], step: Int[Array, "M"]) -> TrackRows:
+    """Make rows of detections; each belongs to an agent, numbered from 0.
+
+    >>> make_rows(np.array([0, 1, 0]), np.array([4, 5, 6])).detection
+    array([ 0, -1,  2,  1])
+    """
+    count = int(track.max(initial=-1)) + 1
+    first, last = np.full(count, np.iinfo(int).max), np.full(count, -1)
+    np.minimum.at(first, track, step)
+    np.maximum.at(last, track, step)
+    bounds = np.concatenate([[0], np.cumsum(last - first + 1)])
+    agent = np.repeat(np.arange(count), np.diff(bounds))
+    offset = bounds[:-1] - first
+    detection = np.full(bounds[-1], -1)
+    detection[offset[track] + step] = np.arange(len(track))
+    return TrackRows(agent, np.arange(bounds[-1]) - offset[agent], detection, bounds)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackMotion:
+    """Estimated motion of tracks, a row for each agent and step."""
+
+    mean: Float[Array, "S 2 2"]  # position (m) and velocity (m/s), each x and y
+    covariance: Float[Array, "S 2 2"]  # of position and velocity, in one coordinate
 
 
 def predict(
     mean: Float[Array, "n 2 2"],
     covariance: Float[Array, "n 2 2"],
-    dt: float,
+    dt: float | Float[Array, "n"],
     acceleration_noise: Float[Array, "n"],
 ) -> tuple[Float[Array, "n 2 2"], Float[Array, "n 2 2"]]:
     """Predict tracks.
@@ -39,10 +82,16 @@ def predict(
     Returns:
         Mean and covariance then.
     """
-    transition = np.array([[1.0, dt], [0.0, 1.0]])
-    noise = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
-    spread = transition @ covariance @ transition.T
-    return transition @ mean, spread + acceleration_noise[:, None, None] * noise
+    ahead, spread = mean.copy(), covariance.copy()
+    dts = np.broadcast_to(dt, len(mean))
+    ahead[:, 0] += dts[:, None] * mean[:, 1]
+    spread[:, 0] += dts[:, None] * covariance[:, 1]
+    spread[:, :, 0] += dts[:, None] * spread[:, :, 1]
+    spread[:, 0, 0] += acceleration_noise * dts**3 / 3
+    spread[:, 0, 1] += acceleration_noise * dts**2 / 2
+    spread[:, 1, 0] += acceleration_noise * dts**2 / 2
+    spread[:, 1, 1] += acceleration_noise * dts
+    return ahead, spread
 
 
 def update(
@@ -88,55 +137,47 @@ def start(
 
 def filter_tracks(
     times: Float[Array, "T"],
-    positions: Float[Array, "N T 2"],
-    sigmas: Float[Array, "N T"],
+    rows: TrackRows,
+    positions: Float[Array, "S 2"],
+    sigmas: Float[Array, "S"],
     acceleration_noise: Float[Array, "N"],
-    *,
-    speed_sigma: float,
 ) -> TrackMotion:
     """Filter tracks forward in time: each state knows the measurements until then.
 
     Args:
-        times: seconds, increasing.
+        times: of the steps, seconds, increasing.
+        rows: of the tracks.
         positions: measured positions, m; NaN where there is none.
         sigmas: their standard deviations in each coordinate, m.
         acceleration_noise: spectral density of the acceleration, m²/s³.
-        speed_sigma: standard deviation of each velocity component at the start, m/s.
 
     Returns:
-        The motion from each track's first measurement to its last.
+        The motion.
     """
-    count, steps = positions.shape[:2]
-    mean, covariance = (np.full((count, steps, 2, 2), np.nan) for _ in range(2))
-    seen = np.isfinite(positions[..., 0])
-    first = np.where(seen.any(axis=1), np.argmax(seen, axis=1), steps)
-    last = steps - 1 - np.argmax(seen[:, ::-1], axis=1)
-    for step in range(steps):
-        running = np.flatnonzero((first < step) & (last >= step))
-        if len(running):
-            state = mean[running, step - 1], covariance[running, step - 1]
-            dt = float(times[step] - times[step - 1])
-            new_mean, new_covariance = predict(*state, dt, acceleration_noise[running])
-            hit = seen[running, step]
-            measured = positions[running[hit], step], sigmas[running[hit], step]
-            new_mean[hit], new_covariance[hit] = update(
-                new_mean[hit], new_covariance[hit], *measured
-            )
-            mean[running, step], covariance[running, step] = new_mean, new_covariance
-        begun = np.flatnonzero(first == step)
-        mean[begun, step], covariance[begun, step] = start(
-            positions[begun, step], sigmas[begun, step], speed_sigma
-        )
+    mean, covariance = np.empty((len(rows.step), 2, 2)), np.empty((len(rows.step), 2, 2))
+    begin, seen = rows.bounds[:-1], rows.detection >= 0
+    mean[begin], covariance[begin] = start(positions[begin], sigmas[begin], START_SPEED_SIGMA)
+    for now in rows.list_steps():
+        step = rows.step[now[0]]
+        dt = float(times[step] - times[step - 1])
+        noise = acceleration_noise[rows.agent[now]]
+        mean[now], covariance[now] = predict(mean[now - 1], covariance[now - 1], dt, noise)
+        hit = now[seen[now]]
+        mean[hit], covariance[hit] = update(mean[hit], covariance[hit], positions[hit], sigmas[hit])
     return TrackMotion(mean, covariance)
 
 
 def smooth_tracks(
-    times: Float[Array, "T"], filtered: TrackMotion, acceleration_noise: Float[Array, "N"]
+    times: Float[Array, "T"],
+    rows: TrackRows,
+    filtered: TrackMotion,
+    acceleration_noise: Float[Array, "N"],
 ) -> TrackMotion:
     """Smooth filtered tracks backward in time, so that each state knows all measurements.
 
     Args:
-        times: seconds, increasing.
+        times: of the steps, seconds, increasing.
+        rows: of the tracks.
         filtered: what `filter_tracks` gave.
         acceleration_noise: the same as in the filter, m²/s³.
 
@@ -144,17 +185,13 @@ def smooth_tracks(
         The smoothed motion (Rauch, Tung, Striebel 1965).
     """
     mean, covariance = filtered.mean.copy(), filtered.covariance.copy()
-    known = np.isfinite(mean[:, :, 0, 0])
-    for step in range(len(times) - 2, -1, -1):
-        running = np.flatnonzero(known[:, step] & known[:, step + 1])
-        if not len(running):
-            continue
-        dt = float(times[step + 1] - times[step])
-        before = covariance[running, step]
-        ahead, spread = predict(mean[running, step], before, dt, acceleration_noise[running])
+    for after in reversed(rows.list_steps()):
+        now, step = after - 1, rows.step[after[0]]
+        dt = float(times[step] - times[step - 1])
+        before = covariance[now]
+        ahead, spread = predict(mean[now], before, dt, acceleration_noise[rows.agent[now]])
         cross = before @ np.array([[1.0, 0.0], [dt, 1.0]])
         gain = np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, 1, 2)), 1, 2)
-        mean[running, step] += gain @ (mean[running, step + 1] - ahead)
-        change = covariance[running, step + 1] - spread
-        covariance[running, step] = before + gain @ change @ np.swapaxes(gain, 1, 2)
+        mean[now] += gain @ (mean[after] - ahead)
+        covariance[now] = before + gain @ (covariance[after] - spread) @ np.swapaxes(gain, 1, 2)
     return TrackMotion(mean, covariance)

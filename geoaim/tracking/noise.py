@@ -1,7 +1,7 @@
 """Noise of detections, estimated from how they scatter about smooth tracks."""
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from geoaim.tracking.ground_detections import GroundDetections
@@ -9,10 +9,15 @@ from geoaim.tracking.ground_detections import GroundDetections
 DEFAULT_NOISE_PX = 2.0  # of a coordinate of a box's middle, where too few detections tell
 MIN_NOISE_PX = 0.3
 MIN_TRIPLES = 30  # detections in three successive frames that tell the noise
+SLOW_DT = 0.2  # s; time between frames in which agents accelerate by more than the noise
+ABSORBED = 1.25  # lasting errors over those that sizes, estimated from the same boxes, leave
+LASTING_MARGIN = 1.2  # by which extents scatter more than middles without lasting errors
 NORMAL_SCALE = 1.4826  # standard deviation of a normal distribution over its median distance
 
 
-def estimate_noise(detections: GroundDetections, track: Int[Array, "M"]) -> float:
+def estimate_noise(
+    detections: GroundDetections, track: Int[Array, "M"], times: Float[Array, "T"]
+) -> float:
     """Estimate the standard deviation of a coordinate of boxes' middles, in pixels of the frame.
 
     From one frame to the next but one a track is nearly straight, so that its second differences
@@ -21,12 +26,15 @@ def estimate_noise(detections: GroundDetections, track: Int[Array, "M"]) -> floa
     Args:
         detections: detections in order of time.
         track: number of each detection's agent; -1 for none.
+        times: of the frames, s; where they are seldom, agents are not straight in between.
 
     Returns:
         Pixels.
     """
+    if len(times) < 2 or times[1] - times[0] > SLOW_DT:
+        return DEFAULT_NOISE_PX
     order = np.lexsort((detections.step, track))
-    order = order[(track[order] >= 0) & ~detections.cut[order].any(axis=(1, 2))]
+    order = order[(track[order] >= 0) & ~detections.may_be_cut[order]]
     step, agent = detections.step[order], track[order]
     pixels = detections.position[order] / detections.resolution[order, None]
     triple = (agent[2:] == agent[:-2]) & (step[2:] - step[:-2] == 2)
@@ -35,3 +43,28 @@ def estimate_noise(detections: GroundDetections, track: Int[Array, "M"]) -> floa
         return DEFAULT_NOISE_PX
     spread = NORMAL_SCALE * float(np.median(np.abs(second))) / np.sqrt(6)
     return max(spread, MIN_NOISE_PX)
+
+
+def estimate_lasting_noise(
+    residual: Float[Array, "m 2"], resolution: Float[Array, "m"], noise: float
+) -> float:
+    """Estimate the part of the noise of a coordinate of boxes' middles that lasts, in pixels.
+
+    Errors of opposite sides are taken for independent, so that half the difference of a box's
+    extent from what it should be scatters as its middle does. What goes beyond the noise between
+    successive frames, lasts.
+
+    Args:
+        residual: extents of whole boxes less those that sizes and headings tell, m.
+        resolution: metres per pixel.
+        noise: that of `estimate_noise`, pixels.
+
+    Returns:
+        Pixels; 0 where it cannot be told.
+    """
+    if len(residual) < MIN_TRIPLES:
+        return 0.0
+    pixels = residual / resolution[:, None]
+    spread = NORMAL_SCALE * float(np.median(np.abs(pixels - np.median(pixels, axis=0)))) / 2
+    lasting = np.sqrt(max(spread**2 - (LASTING_MARGIN * noise) ** 2, 0.0))
+    return float(ABSORBED * lasting)

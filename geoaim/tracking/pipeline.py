@@ -18,19 +18,17 @@ from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.mapping.video.detections import DetectedBoxes, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
-from geoaim.tracking.association import associate
+from geoaim.tracking.association import MIN_HITS, MIN_START_SCORE, associate
 from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_boxes
 from geoaim.tracking.find_vehicles import search_frames
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
-from geoaim.tracking.ground_detections import place_boxes
-from geoaim.tracking.noise import DEFAULT_NOISE_PX, estimate_noise
+from geoaim.tracking.ground_detections import GroundDetections, place_boxes, select_detections
 from geoaim.tracking.standing import Directions
-from geoaim.tracking.states import CUT_SIGMA_M, make_states
+from geoaim.tracking.states import make_states
 from geoaim.tracks.tracks import Tracks
 
-ASSOCIATIONS = 2  # the second one knows the noise of the boxes
 MAX_DOUBLED = 0.05  # share of doubled boxes without a warning
-NOISE_MARGIN = 1.4  # by which boxes scatter more in jumps than they usually do
+MAX_UNUSED = 0.25  # share of boxes in no track without a warning
 
 
 def track_video(
@@ -149,18 +147,29 @@ def track_boxes(
         warn(f"{empty} boxes without an area, or with values missing, are left out")
     detections = place_boxes(frames, world_from_frame, size)
     check_sizes(detections)
-    cut = detections.cut.any(axis=(1, 2))
-    track, noise = np.full(len(detections.step), -1), DEFAULT_NOISE_PX
-    for _ in range(ASSOCIATIONS):
-        sigma = np.where(cut, CUT_SIGMA_M, noise * detections.resolution)
-        track = associate(detections, times, sigma)
-        noise = max(NOISE_MARGIN * estimate_noise(detections, track), DEFAULT_NOISE_PX)
-    if not (track >= 0).any():
+    tracklets = associate(detections, times)
+    kept = np.flatnonzero(tracklets.track >= 0)
+    if not len(kept):
         known = sum(boxes is not None for boxes in frames)
         raise TracksError(
-            f"{len(track)} detections in {known} of {len(frames)} frames give no track; detections "
-            "of the same agents in successive frames are needed"
+            f"{len(detections.step)} detections in {known} of {len(frames)} frames give no track; "
+            "detections of the same agents in successive frames are needed"
         )
-    tracks = make_states(detections, track, times, world, lanes)
+    _report_unused(detections, tracklets.track)
+    detections = select_detections(detections, kept)
+    tracklets = replace(tracklets, track=tracklets.track[kept], sigma=tracklets.sigma[kept])
+    tracks = make_states(detections, tracklets, times, world, lanes)
     check_tracks(tracks)
     return tracks
+
+
+def _report_unused(detections: GroundDetections, track: Int[Array, "M"]) -> None:
+    """Warn where many boxes are in no track, and say why."""
+    unused = track < 0
+    if unused.mean() > MAX_UNUSED:
+        low = int((detections.score[unused] < MIN_START_SCORE).sum())
+        warn(
+            f"{unused.sum()} of {len(track)} boxes are in no track: {low} have scores under "
+            f"{MIN_START_SCORE} and {unused.sum() - low} are of what is seen in fewer than "
+            f"{MIN_HITS} frames that follow each other"
+        )

@@ -3,80 +3,78 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from geoaim.base.geometry import wrap_angle
 from geoaim.tracking.ground_detections import GroundDetections
 from geoaim.tracking.headings import REAR_AXLE_SHARE, compute_headings, observe_headings
-from geoaim.tracking.kalman import TrackMotion
-from geoaim.tracking.sizes import get_typical_size
-from geoaim.tracking.standing import UNKNOWN_SIGMA_RAD, Directions, find_standing_heading
+from geoaim.tracking.kalman import TrackMotion, TrackRows
+from geoaim.tracking.sizes import AgentTraits, get_typical_size
+from geoaim.tracking.standing import (
+    LINE_SIGMA_RAD,
+    UNKNOWN_SIGMA_RAD,
+    Directions,
+    find_standing_heading,
+)
 from geoaim.tracks.agent_types import find_group
 from geoaim.tracks.tracks import estimate_heading
 
 MAX_REVERSE_SPEED = 3.5  # m/s; a faster vehicle drives forward
 MAX_OBSERVED_SPEED_SIGMA = 0.6  # m/s; a less certain speed is not known yet
+MIN_FORWARD_M = 3.0  # over which it does
+MIN_TRAVEL_M = 1.5  # of a vehicle that does not stand all the time
 ORIENTED_SIGMA_RAD = 0.05  # of the heading of an oriented box
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """States of N agents at T times; NaN where they are absent."""
+    """States of agents, a row for each agent and step."""
 
-    states: Float[Array, "N T 4"]  # x, y, heading, speed
-    uncertainty: Float[Array, "N T 2"]  # standard deviations of a coordinate (m), heading (rad)
-    standing: Float[Array, " N"]  # heading before a vehicle moves, rad; NaN if it is unknown
-
-    @property
-    def headings(self) -> Float[Array, "N T"]:
-        """Headings, rad."""
-        return self.states[..., 2]
+    states: Float[Array, "S 4"]  # x, y, heading, speed
+    uncertainty: Float[Array, "S 2"]  # standard deviations of a coordinate (m), heading (rad)
 
 
 def compute_poses(
     smoothed: TrackMotion,
-    types: tuple[str, ...],
-    sizes: Float[Array, "N 2"],
+    rows: TrackRows,
+    agents: AgentTraits,
     detections: GroundDetections,
-    row: Int[Array, "N T"],
     lanes: Directions | None,
 ) -> Poses:
     """Compute headings and speeds from smoothed motion.
 
     Args:
         smoothed: the motion of the agents.
-        types: their types.
-        sizes: their lengths and widths, m.
+        rows: of the agents.
+        agents: their types and sizes.
         detections: all detections.
-        row: number of each agent's detection at each time; -1 for none.
         lanes: directions of lanes, for vehicles that stand; None: not known.
 
     Returns:
         The poses.
     """
-    mean = smoothed.mean
-    heading, sigma = (np.full(row.shape, np.nan) for _ in range(2))
-    turning = np.array([turns_on_spot(kind) for kind in types], bool)
-    standing = np.full((len(types), 2), np.nan)
-    for agent in range(len(types)):
-        compute = _compute_directions if turning[agent] else _compute_vehicle_headings
-        here, part = _select_present(smoothed, agent)
-        heading[agent, here], sigma[agent, here] = compute(part, float(sizes[agent, 0]), None)
-    for agent in np.flatnonzero(~turning).tolist():
-        rows = row[agent, row[agent] >= 0]
-        standing[agent] = _find_heading(detections, rows, get_typical_size(types[agent]), lanes)
-        here, part = _select_present(smoothed, agent)
-        may_reverse = np.hypot(*part.mean[:, 1].T).max() < MAX_REVERSE_SPEED
-        if may_reverse or np.isnan(heading[agent, here]).any():
-            found = _compute_vehicle_headings(part, float(sizes[agent, 0]), standing[agent])
-            heading[agent, here], sigma[agent, here] = found
-    speed = mean[:, :, 1, 0] * np.cos(heading) + mean[:, :, 1, 1] * np.sin(heading)
-    speed[turning] = np.hypot(mean[turning, :, 1, 0], mean[turning, :, 1, 1])
-    states = np.concatenate([mean[:, :, 0], heading[..., None], speed[..., None]], axis=-1)
-    spread = np.sqrt(smoothed.covariance[:, :, 0, 0])
-    before = np.where(standing[:, 1] < UNKNOWN_SIGMA_RAD, standing[:, 0], np.nan)
-    return Poses(states, np.stack([spread, sigma], axis=-1), before)
+    heading, sigma = np.empty(len(rows.step)), np.empty(len(rows.step))
+    turning = np.array([turns_on_spot(kind) for kind in agents.types], bool)
+    for agent, part in enumerate(rows.list_parts()):
+        motion = TrackMotion(smoothed.mean[part], smoothed.covariance[part])
+        if turning[agent]:
+            heading[part], sigma[part] = _compute_directions(motion)
+            continue
+        seen = rows.detection[part]
+        standing = find_standing(detections, seen[seen >= 0], agents.types[agent], lanes)
+        length = float(agents.sizes[agent, 0])
+        found = _compute_vehicle_headings(motion, length, standing)
+        heading[part], sigma[part] = found
+    velocity = smoothed.mean[:, 1]
+    speed = np.where(
+        turning[rows.agent],
+        np.hypot(*velocity.T),
+        velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading),
+    )
+    states = np.column_stack([smoothed.mean[:, 0], heading, speed])
+    spread = np.sqrt(smoothed.covariance[:, 0, 0])
+    return Poses(states, np.column_stack([spread, sigma]))
 
 
 def turns_on_spot(kind: str) -> bool:
@@ -85,47 +83,37 @@ def turns_on_spot(kind: str) -> bool:
 
 
 def observe_states(
-    filtered: TrackMotion, types: tuple[str, ...], sizes: Float[Array, "N 2"], poses: Poses
-) -> Float[Array, "N T 4"]:
+    filtered: TrackMotion, rows: TrackRows, agents: AgentTraits, standing: Float[Array, "N"]
+) -> Float[Array, "S 4"]:
     """Compute the states that are known at each time.
 
     Args:
         filtered: motion that knows the detections until each time.
-        types: of the agents.
-        sizes: lengths and widths, m.
-        poses: which hold the heading of a vehicle before it moves.
+        rows: of the agents.
+        agents: their types and sizes.
+        standing: heading of each vehicle before it moves, rad; NaN if it is unknown.
 
     Returns:
         The states; NaN where the heading or the speed is not known yet.
     """
-    observed = np.full(poses.states.shape, np.nan)
-    for agent, kind in enumerate(types):
-        here = np.flatnonzero(np.isfinite(filtered.mean[agent, :, 0, 0]))
-        path, velocity = filtered.mean[agent, here, 0], filtered.mean[agent, here, 1]
-        if turns_on_spot(kind):
+    observed = np.full((len(rows.step), 4), np.nan)
+    for agent, part in enumerate(rows.list_parts()):
+        path, velocity = filtered.mean[part, 0], filtered.mean[part, 1]
+        if turns_on_spot(agents.types[agent]):
             heading = estimate_heading(velocity[None], causal=True)[0]
             speed = np.hypot(*velocity.T)
         else:
-            standing = float(poses.standing[agent])
-            given = None if np.isnan(standing) else standing
-            heading = observe_headings(path, float(sizes[agent, 0]), given)
+            given = None if np.isnan(standing[agent]) else float(standing[agent])
+            heading = observe_headings(path, float(agents.sizes[agent, 0]), given)
             speed = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
         states = np.column_stack([path, wrap_angle(heading), speed])
-        certain = np.sqrt(filtered.covariance[agent, here, 1, 1]) < MAX_OBSERVED_SPEED_SIGMA
+        certain = np.sqrt(filtered.covariance[part, 1, 1]) < MAX_OBSERVED_SPEED_SIGMA
         usable = np.isfinite(heading) & certain
-        observed[agent, here[usable]] = states[usable]
+        observed[part][usable] = states[usable]
     return observed
 
 
-def _select_present(motion: TrackMotion, agent: int) -> tuple[Bool[Array, " T"], TrackMotion]:
-    """Select the times at which an agent is present, and its motion then."""
-    here = np.isfinite(motion.mean[agent, :, 0, 0])
-    return here, TrackMotion(motion.mean[agent, here], motion.covariance[agent, here])
-
-
-def _compute_directions(
-    motion: TrackMotion, length: float, standing: Float[Array, "2"] | None
-) -> tuple[Float[Array, "T"], Float[Array, "T"]]:
+def _compute_directions(motion: TrackMotion) -> tuple[Float[Array, "T"], Float[Array, "T"]]:
     """Directions of the motion of an agent that turns on the spot, and their deviations, rad."""
     velocity = motion.mean[:, 1]
     speed = np.maximum(np.hypot(*velocity.T), 1e-3)
@@ -134,37 +122,50 @@ def _compute_directions(
 
 
 def _compute_vehicle_headings(
-    motion: TrackMotion, length: float, standing: Float[Array, "2"] | None
+    motion: TrackMotion, length: float, standing: tuple[float, float]
 ) -> tuple[Float[Array, "T"], Float[Array, "T"]]:
     """Headings of a vehicle and their standard deviations, rad.
 
-    `standing` has both for the vehicle before it moves. Without it, or where it is uncertain, a
-    vehicle drives forward; NaN for one that does not move.
+    `standing` has both for the vehicle before it moves. A vehicle that drives faster than
+    `MAX_REVERSE_SPEED` drives forward; where a slower one moves, its sense is that of `standing`.
     """
-    steps = len(motion.mean)
-    given, given_sigma = (np.nan, 0.0) if standing is None else standing.tolist()
-    facing = given if given_sigma < UNKNOWN_SIGMA_RAD and standing is not None else None
-    headings = compute_headings(motion.mean[:, 0], motion.mean[:, 1], length, facing)
+    path, velocity = motion.mean[:, 0], motion.mean[:, 1]
+    fast = path[np.hypot(*velocity.T) > MAX_REVERSE_SPEED]
+    forward = len(fast) > 0 and np.hypot(*np.ptp(fast, axis=0)) > MIN_FORWARD_M
+    known = standing[1] < LINE_SIGMA_RAD
+    headings = None
+    if np.hypot(*np.ptp(path, axis=0)) > MIN_TRAVEL_M:
+        headings = compute_headings(path, velocity, length, standing[0] if known else None)
     if headings is None:
-        return np.full(steps, given), np.full(steps, given_sigma)
+        return np.full(len(path), standing[0]), np.full(len(path), standing[1])
+    if forward and (velocity[:, 0] @ np.cos(headings) + velocity[:, 1] @ np.sin(headings)) < 0:
+        turned = compute_headings(path, velocity, length, None)  # a lane of the other way
+        headings = headings if turned is None else turned
     sigma = np.sqrt(motion.covariance[:, 0, 0]) / (REAR_AXLE_SHARE * length)
-    least = UNKNOWN_SIGMA_RAD if given_sigma == UNKNOWN_SIGMA_RAD else 0.0  # its sense is unknown
+    least = 0.0 if forward or known else LINE_SIGMA_RAD
     return wrap_angle(headings), np.clip(sigma, least, UNKNOWN_SIGMA_RAD)
 
 
-def _find_heading(
-    detections: GroundDetections,
-    rows: Int[Array, " m"],
-    size: tuple[float, float],
-    lanes: Directions | None,
+def find_standing(
+    detections: GroundDetections, seen: Int[Array, " m"], kind: str, lanes: Directions | None
 ) -> tuple[float, float]:
-    """Find the heading of a vehicle that never moves, and its standard deviation, rad."""
-    middle = np.median(detections.position[rows], axis=0)
-    extent = np.median(detections.extent[rows], axis=0)
-    double = np.exp(2j * detections.axis[rows]).mean()
-    axis = float(np.angle(double) / 2)
-    heading, sigma = find_standing_heading(middle, axis, extent, size, lanes)
-    if detections.oriented[rows].all():
-        facing = axis if np.cos(heading - axis) >= 0 or sigma == UNKNOWN_SIGMA_RAD else axis + np.pi
-        return facing, ORIENTED_SIGMA_RAD if sigma < UNKNOWN_SIGMA_RAD else sigma
+    """Find the heading of a vehicle where it stands, and its standard deviation, rad.
+
+    Args:
+        detections: all detections.
+        seen: which are of the vehicle.
+        kind: its type.
+        lanes: directions of lanes; None: not known.
+
+    Returns:
+        As `find_standing_heading`, but for oriented boxes, which tell its line.
+    """
+    middle = np.median(detections.position[seen], axis=0)
+    extent = np.median(detections.extent[seen], axis=0)
+    axis = float(np.angle(np.exp(2j * detections.axis[seen]).mean()) / 2)
+    heading, sigma = find_standing_heading(middle, axis, extent, get_typical_size(kind), lanes)
+    if detections.oriented[seen].all():
+        known = sigma < LINE_SIGMA_RAD
+        facing = axis if np.cos(heading - axis) >= 0 or not known else axis + np.pi
+        return facing, ORIENTED_SIGMA_RAD if known else LINE_SIGMA_RAD
     return heading, sigma

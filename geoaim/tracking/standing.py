@@ -7,13 +7,14 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.base.geometry import wrap_angle
-from geoaim.tracking.sizes import predict_extents
+from geoaim.tracking.sizes import TURNS, predict_extents
 
-UNKNOWN_SIGMA_RAD = np.pi  # of a heading that may be any, or its opposite
+UNKNOWN_SIGMA_RAD = np.pi  # of a heading that may be any
+LINE_SIGMA_RAD = np.pi / 2  # of one that may be the opposite
 LANE_SIGMA_RAD = 0.1  # of a heading by a lane
 MAX_NEIGHBOURS = 9  # directions that are averaged
 MIN_AGREEMENT = 0.8  # length of the mean of their unit vectors; short where lanes cross
-TURNS = np.radians(np.arange(0.0, 180.0, 1.0))  # headings that are compared with a box's extents
+MAX_WIDER = 1.2  # of a box than its agent, along which the agent stands; a turned one is wider
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +44,16 @@ def find_standing_heading(
 
     Returns:
         Heading and its standard deviation, rad. Without a lane at its place the heading is
-        that of the box's longer axis, which may as well be the opposite: `UNKNOWN_SIGMA_RAD`.
+        that of the box's longer axis, which may as well be the opposite: `LINE_SIGMA_RAD`. A box
+        that is too wide for that is turned to either side: `UNKNOWN_SIGMA_RAD`.
     """
     here = None if lanes is None else _average_directions(lanes, position)
     if here is not None:
         return here, LANE_SIGMA_RAD
     misfit = ((predict_extents(np.array(size), TURNS) - extent) ** 2).sum(axis=1)
     heading = float(wrap_angle(np.array(axis + TURNS[np.argmin(misfit)])))
-    return heading, UNKNOWN_SIGMA_RAD
+    straight = extent.min() < MAX_WIDER * size[1] and extent.max() > 2 * extent.min()
+    return heading, LINE_SIGMA_RAD if straight else UNKNOWN_SIGMA_RAD
 
 
 def _average_directions(lanes: Directions, position: Float[Array, "2"]) -> float | None:

@@ -1,58 +1,52 @@
 """States of agents: associated detections -> smoothed and observed states, sizes and types."""
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from geoaim.base.world import World
+from geoaim.tracking.association import CUT_SIGMA_M, MIN_HITS, Tracklets
 from geoaim.tracking.cut_boxes import complete_cut_boxes
-from geoaim.tracking.ground_detections import GroundDetections, select_detections
-from geoaim.tracking.kalman import START_SPEED_SIGMA, TrackMotion, filter_tracks, smooth_tracks
-from geoaim.tracking.noise import estimate_noise
-from geoaim.tracking.poses import Poses, compute_poses, observe_states
-from geoaim.tracking.sizes import estimate_size, vote_type
-from geoaim.tracking.standing import Directions
-from geoaim.tracks.agent_types import find_group
+from geoaim.tracking.ground_detections import GroundDetections
+from geoaim.tracking.headings import REAR_AXLE_SHARE
+from geoaim.tracking.joining import join_tracks
+from geoaim.tracking.kalman import TrackMotion, TrackRows, filter_tracks, make_rows, smooth_tracks
+from geoaim.tracking.noise import estimate_lasting_noise, estimate_noise
+from geoaim.tracking.poses import Poses, compute_poses, find_standing, observe_states
+from geoaim.tracking.sizes import (
+    EFFECTIVE_BOXES,
+    SIZE_SIGMA,
+    AgentTraits,
+    estimate_size,
+    get_typical_size,
+    vote_type,
+)
+from geoaim.tracking.standing import LINE_SIGMA_RAD, Directions
 from geoaim.tracks.tracks import Tracks
 
-# spectral density of the acceleration by group, m²/s³; chosen on validation videos
-ACCELERATION_NOISE = {"vehicle": 1.0, "pedestrian": 0.15, "cyclist": 0.5, "other": 0.5}
-CUT_SIGMA_M = 1.5  # of the middle of a box that the frame's border may cut off
 MIN_WHOLE_BOXES = 5  # that tell a size; fewer may be of something else
+MAX_TURN_SINE = 0.2  # of agents whose extents tell errors of boxes
+LASTING_TURN = 0.6  # share of a lasting error that changes while the rear axle is pulled along
 COMPLETED_SIGMA_M = 0.2  # of one that has been completed by the agent's size
-
-
-@dataclass(frozen=True, eq=False)
-class AgentTraits:
-    """What is the same for an agent at all times; N agents."""
-
-    types: tuple[str, ...]
-    sizes: Float[Array, "N 2"]  # length and width, m
-
-    @property
-    def acceleration_noise(self) -> Float[Array, "N"]:
-        """Spectral densities of the accelerations, m²/s³."""
-        return np.array([ACCELERATION_NOISE[find_group(kind)] for kind in self.types])
 
 
 def make_states(
     detections: GroundDetections,
-    track: Int[Array, "M"],
+    tracklets: Tracklets,
     times: Float[Array, "T"],
     world: World,
     lanes: Directions | None = None,
 ) -> Tracks:
     """Make the states of agents from their detections, smoothed and as observed at each time.
 
-    The middle of each agent moves at constant velocity but for white noise in its acceleration;
-    a first pass gives headings, by these sizes, and by these the middles of boxes that the frame's
-    border cuts off, which a second pass uses.
+    What was observed is filtered as the frames came. Then tracks of one agent are joined, and the
+    middle of each agent moves at constant velocity but for white noise in its acceleration; a first
+    pass gives headings, by these sizes, and by these the middles of boxes that the frame's border
+    cuts off, which a second pass uses.
 
     Args:
-        detections: detections of all frames.
-        track: number of each detection's agent, from 0; -1 for none.
+        detections: detections of agents.
+        tracklets: their tracks as the frames came; each detection belongs to one.
         times: of the frames, s.
         world: the plane of the positions.
         lanes: directions of lanes, for vehicles that never move; None: not known.
@@ -60,90 +54,175 @@ def make_states(
     Returns:
         The tracks, from each agent's first detection to its last.
     """
-    kept = np.flatnonzero(track >= 0)
-    detections, track = select_detections(detections, kept), track[kept]
-    row = np.full((track.max(initial=-1) + 1, len(times)), -1)
-    row[track, detections.step] = np.arange(len(track))
-    sigma = estimate_noise(detections, track) * detections.resolution
-    cut = detections.cut.any(axis=(1, 2))
-    types = tuple(_vote(detections, np.flatnonzero(track == n)) for n in range(len(row)))
-    agents = AgentTraits(types, np.ones((len(row), 2)))
+    own = make_rows(tracklets.track, detections.step)
+    observed, agent = _observe(detections, tracklets, own, times, lanes)
+    track = agent[tracklets.track]
+    rows = make_rows(track, detections.step)
+    at = np.empty(len(track), int)  # the row of each detection
+    at[rows.detection[rows.detection >= 0]] = np.flatnonzero(rows.detection >= 0)
+    noise = estimate_noise(detections, track, times)
+    sigma = noise * detections.resolution
+    cut = detections.may_be_cut
+    seen = _list_detections(rows)
+    agents = _describe_agents(detections, seen)
     first = np.where(cut, CUT_SIGMA_M, sigma)
-    _, smoothed = _estimate_motion(detections.position, first, row, times, agents)
-    agents = _estimate_sizes(agents, smoothed, detections, row, sigma)
-    poses = compute_poses(smoothed, agents.types, agents.sizes, detections, row, lanes)
-    position = complete_cut_boxes(detections, track, poses.headings, agents.sizes)
+    smoothed = _smooth(detections.position, first, rows, times, agents)
+    heading = compute_poses(smoothed, rows, agents, detections, None).states[at, 2]
+    agents = _describe_agents(detections, seen, heading - detections.axis)
+    agents, size_sigma = _estimate_sizes(agents, heading, detections, seen, sigma)
+    heading = compute_poses(smoothed, rows, agents, detections, lanes).states[at, 2]
+    position = complete_cut_boxes(detections, track, heading, agents.sizes)
     second = np.where(cut, np.hypot(COMPLETED_SIGMA_M, sigma), sigma)
-    filtered, smoothed = _estimate_motion(position, second, row, times, agents)
-    poses = compute_poses(smoothed, agents.types, agents.sizes, detections, row, lanes)
-    return _collect_tracks(poses, filtered, agents, row, times, world)
+    smoothed = _smooth(position, second, rows, times, agents)
+    poses = compute_poses(smoothed, rows, agents, detections, lanes)
+    lasting = _measure_lasting(detections, agents.sizes[track], poses.states[at, 2], noise)
+    poses = _add_lasting(poses, rows, agents, (lasting, np.where(cut, size_sigma[track] / 2, 0.0)))
+    start = rows.bounds[agent[own.agent]]
+    found = {
+        "states": poses.states,
+        "observed": np.full(poses.states.shape, np.nan),
+        "seen": rows.detection >= 0,
+        "uncertainty": poses.uncertainty,
+    }
+    found["observed"][start + own.step - rows.step[start]] = observed
+    present = np.zeros((len(agents.types), len(times)), bool)
+    present[rows.agent, rows.step] = True
+    return Tracks.from_rows(
+        present,
+        found,
+        times=times,
+        sizes=agents.sizes,
+        types=agents.types,
+        ids=tuple(str(number + 1) for number in range(len(agents.types))),
+        world=world,
+    )
 
 
-def _vote(detections: GroundDetections, rows: Int[Array, " m"]) -> str:
-    """Vote on the type of an agent; boxes that may be cut off tell no size if others do."""
-    whole = rows[~detections.cut[rows].any(axis=(1, 2))]
-    extent = detections.extent[whole if len(whole) else rows]
-    return vote_type(detections.types[rows].tolist(), extent)
+def _observe(
+    detections: GroundDetections,
+    tracklets: Tracklets,
+    rows: TrackRows,
+    times: Float[Array, "T"],
+    lanes: Directions | None,
+) -> tuple[Float[Array, "S 4"], Int[Array, "N"]]:
+    """What was known of each track as the frames came, and the number of its agent.
+
+    From a track's confirmation on, its type, size and first heading stay those of its first boxes.
+    """
+    seen = _list_detections(rows)
+    early = [part[:MIN_HITS] for part in seen]
+    early = [
+        part[detections.step[part] <= step]
+        for part, step in zip(early, tracklets.confirmed.tolist(), strict=True)
+    ]
+    agents = _describe_agents(detections, early)
+    pairs = [
+        find_standing(detections, part, kind, lanes)
+        for part, kind in zip(early, agents.types, strict=True)
+    ]
+    standing = np.array([h if sigma < LINE_SIGMA_RAD else np.nan for h, sigma in pairs])
+    measured = detections.position[rows.detection], tracklets.sigma[rows.detection]
+    noise = agents.acceleration_noise
+    filtered = filter_tracks(times, rows, *measured, noise)
+    observed = observe_states(filtered, rows, agents, standing)
+    observed[rows.step < tracklets.confirmed[rows.agent]] = np.nan
+    smoothed = smooth_tracks(times, rows, filtered, noise)
+    types = _describe_agents(detections, seen).types
+    return observed, join_tracks(smoothed, rows, types, detections, times)
 
 
-def _estimate_motion(
+def _list_detections(rows: TrackRows) -> list[Int[Array, " m"]]:
+    """List the detections of each agent."""
+    parts = (rows.detection[part] for part in rows.list_parts())
+    return [part[part >= 0] for part in parts]
+
+
+def _describe_agents(
+    detections: GroundDetections,
+    seen: list[Int[Array, " m"]],
+    turn: Float[Array, "M"] | None = None,
+) -> AgentTraits:
+    """Describe agents by the types of their detections, with the sizes that are typical of them."""
+    cut = detections.may_be_cut
+    types = []
+    for part in seen:
+        whole = part[~cut[part]]
+        used = whole if len(whole) else part  # boxes that may be cut off tell no size
+        turns = None if turn is None else turn[used]
+        types.append(vote_type(detections.types[part].tolist(), detections.extent[used], turns))
+    typical = np.array([get_typical_size(kind) for kind in types]).reshape(-1, 2)
+    return AgentTraits(tuple(types), typical)
+
+
+def _smooth(
     position: Float[Array, "M 2"],
     sigma: Float[Array, "M"],
-    row: Int[Array, "N T"],
+    rows: TrackRows,
     times: Float[Array, "T"],
     agents: AgentTraits,
-) -> tuple[TrackMotion, TrackMotion]:
-    """Estimate the filtered and the smoothed motion of all agents."""
-    seen = row >= 0
-    positions = np.where(seen[..., None], position[row], np.nan)
-    sigmas = np.where(seen, sigma[row], np.nan)
+) -> TrackMotion:
+    """Estimate the smoothed motion of all agents."""
     noise = agents.acceleration_noise
-    filtered = filter_tracks(times, positions, sigmas, noise, speed_sigma=START_SPEED_SIGMA)
-    return filtered, smooth_tracks(times, filtered, noise)
+    # a row without a detection takes the last one, which is not used
+    measured = position[rows.detection], sigma[rows.detection]
+    filtered = filter_tracks(times, rows, *measured, noise)
+    return smooth_tracks(times, rows, filtered, noise)
 
 
 def _estimate_sizes(
     agents: AgentTraits,
-    smoothed: TrackMotion,
+    headings: Float[Array, "M"],
     detections: GroundDetections,
-    row: Int[Array, "N T"],
+    seen: list[Int[Array, " m"]],
     sigma: Float[Array, "M"],
-) -> AgentTraits:
-    """Estimate sizes from whole boxes, with the headings that a typical size gives."""
-    typical = np.array([estimate_size(np.empty((0, 2)), np.empty(0), 1.0, k) for k in agents.types])
-    poses = compute_poses(smoothed, agents.types, typical.reshape(-1, 2), detections, row, None)
-    sizes = typical.reshape(-1, 2).copy()
-    whole = ~detections.cut.any(axis=(1, 2)) & (detections.extent.min(axis=1) > 0)
-    for agent in range(len(row)):
-        steps = np.flatnonzero(row[agent] >= 0)
-        steps = steps[whole[row[agent, steps]]]
-        used = row[agent, steps]
+) -> tuple[AgentTraits, Float[Array, "N"]]:
+    """Estimate sizes from whole boxes by these headings, and how far off the lengths may be, m."""
+    sizes, off = agents.sizes.copy(), SIZE_SIGMA * agents.sizes[:, 0]
+    whole = ~detections.may_be_cut & (detections.extent.min(axis=1) > 0)
+    for agent, part in enumerate(seen):
+        used = part[whole[part]]
         if len(used) >= MIN_WHOLE_BOXES:
-            turn = poses.headings[agent, steps] - detections.axis[used]
+            turn = headings[used] - detections.axis[used]
             side_sigma = 2 * float(np.median(sigma[used]))
             extent = detections.extent[used]
             sizes[agent] = estimate_size(extent, turn, side_sigma, agents.types[agent])
-    return replace(agents, sizes=sizes)
+            off[agent] = 2 * side_sigma / np.sqrt(min(len(used), EFFECTIVE_BOXES))
+    return AgentTraits(agents.types, sizes), off
 
 
-def _collect_tracks(
-    poses: Poses,
-    filtered: TrackMotion,
-    agents: AgentTraits,
-    row: Int[Array, "N T"],
-    times: Float[Array, "T"],
-    world: World,
-) -> Tracks:
-    present = np.isfinite(poses.states[..., 0])
-    return Tracks(
-        times=times,
-        states=poses.states,
-        present=present,
-        sizes=agents.sizes,
-        types=agents.types,
-        ids=tuple(str(number + 1) for number in range(len(row))),
-        world=world,
-        observed=observe_states(filtered, agents.types, agents.sizes, poses),
-        seen=row >= 0,
-        uncertainty=poses.uncertainty,
+def _measure_lasting(
+    detections: GroundDetections,
+    sizes: Float[Array, "M 2"],
+    headings: Float[Array, "M"],
+    noise: float,
+) -> Float[Array, "M"]:
+    """Measure errors of the middles that last, by how extents scatter about what they should be."""
+    turn = headings - detections.axis
+    cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    length, width = sizes.T
+    should = np.column_stack([cosine * length + sine * width, sine * length + cosine * width])
+    # of a turned agent the extents scatter by its heading too
+    usable = ~detections.may_be_cut & (np.minimum(cosine, sine) < MAX_TURN_SINE)
+    lasting = estimate_lasting_noise(
+        (detections.extent - should)[usable], detections.resolution[usable], noise
     )
+    return lasting * detections.resolution
+
+
+def _add_lasting(
+    poses: Poses,
+    rows: TrackRows,
+    agents: AgentTraits,
+    errors: tuple[Float[Array, "M"], Float[Array, "M"]],
+) -> Poses:
+    """Add errors that last to the uncertainty: of the boxes, and of those that are completed."""
+    steps = np.arange(len(rows.step))
+    last = np.maximum.accumulate(np.where(rows.detection >= 0, steps, 0))
+    box, completed = (error[rows.detection[last]] for error in errors)
+    uncertainty = poses.uncertainty.copy()
+    uncertainty[:, 0] = np.sqrt(uncertainty[:, 0] ** 2 + box**2 + completed**2)
+    known = uncertainty[:, 1] < LINE_SIGMA_RAD
+    axle = np.maximum(REAR_AXLE_SHARE * agents.sizes[rows.agent, 0], 0.1)
+    drift = LASTING_TURN * np.hypot(box, completed) / axle
+    uncertainty[known, 1] = np.minimum(np.hypot(uncertainty[:, 1], drift), np.pi)[known]
+    return Poses(poses.states, uncertainty)

@@ -5,8 +5,8 @@ Speeds and headings that a file does not state are computed in `formats.motion`.
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -54,7 +54,8 @@ class Tracks(Display):
         seen: (N, T) whether the agent was detected at each time; where it is present and was not,
             the state bridges a gap. None: not stated.
         uncertainty: (N, T, 2) standard deviations of each coordinate of the position (m) and of the
-            heading (rad); pi where the heading may be any, or its opposite. None: not stated.
+            heading (rad); pi where the heading may be any, pi/2 where it may be the opposite.
+            None: not stated.
 
     Raises:
         ValueError: shapes do not match, times do not increase, a present state is not finite, a
@@ -68,9 +69,9 @@ class Tracks(Display):
     types: tuple[str, ...]
     ids: tuple[str, ...]
     world: World
-    observed: Float[Array, "N T 4"] | None = None
-    seen: Bool[Array, "N T"] | None = None
-    uncertainty: Float[Array, "N T 2"] | None = None
+    observed: Float[Array, "N T 4"] | None = field(default_factory=lambda: None)
+    seen: Bool[Array, "N T"] | None = field(default_factory=lambda: None)
+    uncertainty: Float[Array, "N T 2"] | None = field(default_factory=lambda: None)
 
     def __post_init__(self) -> None:
         agents, steps = len(self.ids), len(self.times)
@@ -100,6 +101,54 @@ class Tracks(Display):
         if not np.isfinite(self.states[self.present]).all():
             raise ValueError("a state is not finite where its agent is present")
 
+    @classmethod
+    def from_rows(
+        cls, present: Bool[Array, "N T"], rows: dict[str, Array], **others: Any
+    ) -> "Tracks":
+        """Make tracks of long recordings, whose dense arrays are made where they are first used.
+
+        Args:
+            present: whether each agent is present.
+            rows: by the names of the attributes, a row for each present state, by agent and time.
+            others: the other attributes.
+
+        Returns:
+            The tracks; `get_rows` gives the rows again.
+
+        >>> rows = {"states": np.ones((1, 4))}
+        >>> tracks = Tracks.from_rows(np.array([[False, True]]), rows, times=np.arange(2.0))
+        >>> tracks.states[0, :, 0]
+        array([nan,  1.])
+        """
+        if not np.isfinite(rows["states"]).all():
+            raise ValueError("a state is not finite where its agent is present")
+        tracks = object.__new__(cls)
+        optional = {"observed": None, "seen": None, "uncertainty": None}
+        vars(tracks).update(others, present=present, _rows=optional | rows)
+        return tracks
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            rows = vars(self).get("_rows", {})
+            if name not in rows:
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            dense, values = None, rows[name]
+            if values is not None:
+                absent = np.array(False if values.dtype == bool else np.nan, values.dtype)
+                dense = np.full(self.present.shape + values.shape[1:], absent)
+                dense[self.present] = values
+            vars(self)[name] = dense
+            return dense
+
+    def get_rows(self, name: str) -> Any:
+        """Get an attribute (N, T) at all present states, by agent and time; None if it has none."""
+        rows = vars(self).get("_rows", {})
+        if name in rows:
+            return rows[name]
+        values = getattr(self, name)
+        return None if values is None else values[self.present]
+
     def get_observed(self) -> Float[Array, "N T 4"]:
         """Get the states as they are known at each time, from the rows until then."""
         return self.states if self.observed is None else self.observed
@@ -111,16 +160,16 @@ class Tracks(Display):
         `UNCERTAINTY_COLUMNS` too.
         """
         agent, step = np.nonzero(self.present)
-        values = np.column_stack([self.times[step], self.states[agent, step], self.sizes[agent]])
+        values = np.column_stack([self.times[step], self.get_rows("states"), self.sizes[agent]])
         frame = pd.DataFrame(values, columns=list(COLUMNS[2:]))
         frame.insert(0, "id", np.array(self.ids, object)[agent])
         frame.insert(1, "type", np.array(self.types, object)[agent])
-        if self.observed is not None:
-            frame[list(OBSERVED_COLUMNS)] = self.observed[agent, step]
-        if self.seen is not None:
-            frame[SEEN_COLUMN] = self.seen[agent, step].astype(int)
-        if self.uncertainty is not None:
-            frame[list(UNCERTAINTY_COLUMNS)] = self.uncertainty[agent, step]
+        if (observed := self.get_rows("observed")) is not None:
+            frame[list(OBSERVED_COLUMNS)] = observed
+        if (seen := self.get_rows("seen")) is not None:
+            frame[SEEN_COLUMN] = seen.astype(int)
+        if (uncertainty := self.get_rows("uncertainty")) is not None:
+            frame[list(UNCERTAINTY_COLUMNS)] = uncertainty
         return frame
 
     def to_geodataframe(self, start: "str | datetime | None" = None) -> "GeoDataFrame":
@@ -148,7 +197,7 @@ class Tracks(Display):
 
     def summarize(self) -> dict[str, str]:
         """Summarize the agents by type, the times, the extent and the world."""
-        positions = self.states[self.present, :2]
+        positions = self.get_rows("states")[:, :2]
         extent = "none present"
         if len(positions):
             extent = "{:.0f} x {:.0f} m".format(*np.ptp(positions, axis=0))

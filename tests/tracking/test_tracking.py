@@ -1,7 +1,5 @@
 """Tracking of made boxes: what is found, bridged, refused and stated."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -80,29 +78,87 @@ def test_states_that_bridge_misses_are_marked_and_less_certain(junction):
     assert np.hypot(*error.T).max() < 0.4
 
 
-def test_observed_states_do_not_know_later_frames(junction):
-    whole = track(junction, EXACT)
-    first = replace(
-        junction,
-        times=junction.times[:60],
-        states=junction.states[:, :60],
-        present=junction.present[:, :60],
+def test_observed_states_are_the_same_to_the_digit_for_a_part_of_the_video(junction):
+    errors = DetectorErrors(misses=0.1, false=0.1, lost_s=1.0)
+    frames, matrices = detect(junction, errors)
+    rest = junction.times, junction.world, SIZE
+    whole = track_boxes(frames, matrices, *rest)
+    cut = track_boxes(frames[:60], matrices[:60], junction.times[:60], junction.world, SIZE)
+    observed = [tracks.observed[:, :60].reshape(-1, 4) for tracks in (cut, whole)]
+    rows = [set(map(tuple, part[np.isfinite(part[:, 0])].tolist())) for part in observed]
+    assert len(rows[0]) > 80
+    assert rows[0] <= rows[1]  # the whole also has those of misses that end later
+    assert len(rows[1] - rows[0]) <= 0.1 * len(rows[0])
+
+
+def test_an_oncoming_vehicle_at_the_border_is_another_one():
+    truth = make_truth(
+        np.concatenate([drive_straight(60, 30, 0.0, 9.0, steps=60), np.full((60, 4), np.nan)]),
+        np.concatenate([np.full((70, 4), np.nan), drive_straight(83, 33.3, np.pi, 7.0, steps=50)]),
     )
-    cut = track(first, EXACT)
-    rows = [row for row, kind in enumerate(whole.types) if kind != "car"]
-    difference = whole.observed[rows, :60] - cut.observed[rows]
-    difference[..., 2] = wrap_angle(difference[..., 2])
-    np.testing.assert_array_equal(np.isnan(difference), np.isnan(cut.observed[rows]))
-    assert np.nanmax(np.abs(difference)) < 0.02  # sizes and noise are those of whole tracks
-    assert not np.allclose(whole.states[rows, 50:60], cut.states[rows, 50:60], atol=1e-6)
-    assert np.isnan(whole.observed[:, 0]).any()
+    assert len(track(truth, EXACT).ids) == 2
+
+
+def test_a_fast_vehicle_is_tracked_in_few_frames_per_second():
+    truth = make_truth(drive_straight(4, 30, 0.0, 14.0, steps=125))
+    few = slice(None, None, 12)
+    frames, matrices = detect(truth, EXACT)
+    found = track_boxes(frames[few], matrices[few], truth.times[few], truth.world, SIZE)
+    assert len(found.ids) == 1
+    assert found.seen[0].sum() >= 9
+
+
+@pytest.mark.parametrize("speed", [0.0, 9.0])
+def test_what_is_lost_for_long_stays_one_agent(speed):
+    truth = make_truth(
+        drive_straight(5, 30, 0.0, speed, steps=200), drive_straight(75, 40, np.pi, 8.0, steps=200)
+    )
+
+    def hide(frames):
+        empty = DetectedBoxes(np.empty((0, 4)))
+        return [empty if 50 <= step < 150 else frame for step, frame in enumerate(frames)]
+
+    found = track(truth, EXACT, change=hide)
+    assert len(found.ids) == 2
+    assert not found.seen[:, 60:140].any()
+    assert np.isnan(found.observed[:, 120:140]).all()
+
+
+def test_a_car_that_drives_askew_is_a_car_without_a_detectors_types():
+    for heading in (np.pi / 6, np.pi / 4):
+        truth = make_truth(drive_straight(15, 10, heading, 9.0))
+        found = track(truth, DetectorErrors(0.0, 0.0, 1.0, types=False))
+        assert found.types == ("car",)
+        np.testing.assert_allclose(found.sizes[0], (4.6, 1.9), atol=0.35)
+
+
+def test_the_sense_of_a_vehicle_is_not_known_from_a_false_box_beside_it():
+    truth = make_truth(drive_straight(40, 30, 0.0, 0.0))
+
+    def disturb(frames):
+        missed = range(40, 60)
+        false = DetectedBoxes(frames[0].boxes + 60.0, types=("car",))
+        changed = [None if step in missed else frame for step, frame in enumerate(frames)]
+        return [false if step in (48, 52) else frame for step, frame in enumerate(changed)]
+
+    found = track(truth, DetectorErrors(0.0, 0.0, 2.0), change=disturb)
+    assert (found.uncertainty[found.present][:, 1] >= np.pi / 2).all()
+
+
+def test_errors_of_boxes_that_last_are_stated():
+    truth = make_truth(*[drive_straight(5, 6 + 5 * n, 0.0, 6.0, steps=200) for n in range(9)])
+    for errors in (DetectorErrors(0.0, 0.0, 2.0), DetectorErrors(0.0, 0.0, 0.5, lasting_px=4.0)):
+        found = track(truth, errors)
+        error = found.states[pair(truth, found), :, :2] - truth.states[:, :, :2]
+        inside = (error**2).sum(axis=2) < 5.99 * found.uncertainty[pair(truth, found), :, 0] ** 2
+        assert 0.85 < inside.mean() <= 1.0
 
 
 def test_standing_vehicles_have_the_heading_of_a_lane_or_none(junction):
     alone = make_truth(drive_straight(40, 30, 0.0, 0.0))
     found = track(alone, EXACT)
     assert abs(np.sin(found.states[0, 0, 2])) < 0.05  # along the box, in either sense
-    assert found.uncertainty[0, 0, 1] == np.pi
+    assert found.uncertainty[0, 0, 1] == np.pi / 2  # the line is known, and not the sense
     assert np.isnan(found.observed).all()
     lane = Directions(np.array([[40.0, 30.0]]), np.array([0.02]), np.array([2.0]))
     found = track(alone, EXACT, lanes=lane)
@@ -132,10 +188,12 @@ def test_oriented_boxes_give_the_heading_of_what_stands():
 def test_noise_is_estimated_from_the_boxes(junction):
     frames, matrices = detect(junction, DetectorErrors(0.0, 0.0, 3.0))
     placed = place_boxes(frames, matrices, SIZE)
-    assert estimate_noise(placed, np.full(len(placed.step), -1)) == 2.0
+    assert estimate_noise(placed, np.full(len(placed.step), -1), junction.times) == 2.0
     agent = np.array([["car", "van", "pedestrian"].index(kind) for kind in placed.types])
     agent[(placed.types == "car") & (placed.position[:, 1] > 44)] = 3
-    np.testing.assert_allclose(estimate_noise(placed, agent), 3 / np.sqrt(2), rtol=0.1)
+    np.testing.assert_allclose(
+        estimate_noise(placed, agent, junction.times), 3 / np.sqrt(2), rtol=0.1
+    )
 
 
 def test_frames_without_a_transform_are_bridged(junction):
@@ -152,3 +210,17 @@ def test_detections_that_give_no_track_are_refused(junction):
     matrices = np.broadcast_to(WORLD_FROM_FRAME, (len(frames), 3, 3))
     with pytest.raises(TracksError, match="0 detections in 100 of 100 frames give no track"):
         track_boxes(frames, matrices, junction.times, junction.world, SIZE)
+
+
+def test_memory_grows_with_what_is_seen_and_not_with_its_square():
+    boxes = np.array([[120.0, 100 * n, 180, 100 * n + 40] for n in range(1, 6)])
+    frames = [
+        DetectedBoxes(boxes + [6 * (step % 25), 0] * 2) if step % 25 > 2 else None
+        for step in range(150)
+    ]
+    matrices = np.broadcast_to(WORLD_FROM_FRAME, (150, 3, 3))
+    found = track_boxes(frames, matrices, np.arange(150) / 25, World(None), SIZE)
+    assert len(found.ids) == 30
+    assert len(found.to_dataframe()) == found.present.sum() == 30 * 22
+    assert "states" not in vars(found)  # N times T values are not made unless they are asked for
+    np.testing.assert_array_equal(found.states[found.present], found.get_rows("states"))
