@@ -20,6 +20,7 @@ from geoaim.base.limits import refuse_damaged
 from geoaim.prediction.config import Config
 from geoaim.prediction.familiarity import KnownViews
 from geoaim.prediction.itra import ITRA
+from geoaim.prediction.plain import PlainNetwork
 
 FORMAT = FileFormat("model", 2, 3, first_checked=3, error=ModelError)
 PRETRAINED = Path(__file__).parent / "models"
@@ -27,8 +28,19 @@ PRETRAINED = Path(__file__).parent / "models"
 
 def write_model(model: ITRA, path: str | os.PathLike[str]) -> None:
     """Write a model's config, weights (16-bit floats), and what views it knows."""
-    weights = {name: value.detach().cpu().half() for name, value in model.state_dict().items()}
+    weights = {
+        name: value.detach().cpu().half()
+        for name, value in model.state_dict().items()
+        if not name.startswith("own_place.")
+    }
     state: dict[str, Any] = {"config": asdict(model.config), "weights": weights}
+    if (place := model.own_place) is not None:
+        tensors = {name: value.cpu() for name, value in place.state_dict().items()}
+        state["own_place"] = {
+            "history": place.history,
+            "horizon": place.horizon,
+            "weights": tensors,
+        }
     if (known := model.known_views) is not None:
         tensors = {name: getattr(known, name).cpu().float() for name in ("mean", "whitening")}
         state["known_views"] = {**tensors, "limit": known.limit}
@@ -52,12 +64,24 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
         model.load_state_dict(weights, assign=True)
         if "known_views" in state:
             model.known_views = KnownViews(**state["known_views"])
+        if "own_place" in state:
+            model.own_place = _read_place(model.config, **state["own_place"])
+            weights |= state["own_place"]["weights"]
     infinite = [name for name, value in weights.items() if not value.isfinite().all()]
     if infinite:
         raise ModelError(
             f"{path}: weights of {', '.join(infinite[:3])} are not finite numbers; train it again"
         )
     return model.eval()
+
+
+def _read_place(
+    config: Config, history: int, horizon: int, weights: dict[str, Any]
+) -> PlainNetwork:
+    """Make the network of a place from its part of a file."""
+    network = PlainNetwork(config, history, horizon, weights.get("cells"))
+    network.load_state_dict(weights)
+    return network
 
 
 def read_pretrained(kind: str) -> ITRA:

@@ -15,6 +15,9 @@ All other agents replay their ground truth. Agents enter and leave as recorded.
 Beyond the paper, a model may have trajectory proposals (`anchors`): at the last observed step it
 proposes `num_anchors` of them, and each sample follows one, as a further input of f_theta.
 
+A model that was trained on a place holds a network of that place (`plain`): the first samples of
+agents that drive there follow its proposals, and brake for others as the config says.
+
 Shapes: B segments, K samples, N agents, T steps, E controlled agents of all segments, F features,
 H hidden state, Z latent, A proposals, P points of a proposal.
 """
@@ -45,6 +48,8 @@ from geoaim.prediction.observation import (
     index_controlled,
     render_observation,
 )
+from geoaim.prediction.plain import PlainNetwork
+from geoaim.prediction.plans import Plan
 from geoaim.prediction.rollouts import (
     MAX_ACTION,
     Batch,
@@ -80,6 +85,7 @@ class ITRA(nn.Module):
         super().__init__()
         self.config = config
         self.known_views: KnownViews | None = None  # of a trained model with observations
+        self.own_place: PlainNetwork | None = None  # of a model that was trained on a place
         self.motion = MOTION_MODELS[config.motion]
         context = config.feature_size + config.hidden_size + ATTRIBUTES
         anchor = 2 * config.anchor_points + 1 if config.num_anchors else 0
@@ -205,6 +211,7 @@ class ITRA(nn.Module):
         check_shape("latents", latents, shape)
         with torch.set_grad_enabled(gradients):
             rollout = self.start(segments, ground, history=history, samples=samples)
+            rollout = replace(rollout, plan=None)
             index = rollout.batch.controlled.segment, rollout.batch.controlled.agent
             chosen = latents.flatten(0, 1)[index]  # (E, t, Z)
             return self._roll_out(rollout, lambda now: chosen[:, now.index - history + 1])
@@ -229,7 +236,8 @@ class ITRA(nn.Module):
         ground = prefilter_ground(ground, self.config.resolution)
         one = index_batch(self.config, segments, ground, history)
         rollout = self._start(one, normalise_actions(self.motion, one))
-        return repeat_rollout(rollout, samples)
+        rollout = repeat_rollout(rollout, samples)
+        return rollout if self.own_place is None else self._plan(rollout, segments, self.own_place)
 
     def draw_latent(
         self, rollout: Rollout, generator: torch.Generator, scale: float = 1.0
@@ -290,9 +298,14 @@ class ITRA(nn.Module):
             anchors, logits = self.anchors(rollout.pose, past, rollout.features)
             rank = rollout.batch.controlled.segment % rollout.samples
             rollout = replace(rollout, anchor=select_anchor(anchors, logits, rank))
-        action = self._decode(rollout, context, latent)
+        wanted = action = self._decode(rollout, context, latent)
+        if rollout.plan is not None:
+            wanted = action = self._follow(rollout, rollout.plan, action)
         if self.config.brakes:
-            action, rollout = self._brake(rollout, action)
+            action, rollout = self._brake(rollout, wanted)
+        if rollout.plan is not None:
+            plan = rollout.plan.advance(rollout.pose, action[:, 0] < wanted[:, 0])
+            rollout = replace(rollout, plan=plan)
         return action, replace(self._remember(rollout, context, action), latent=latent)
 
     def scale_action(self, action: Float[Tensor, "E 2"]) -> Float[Tensor, "E 2"]:
@@ -372,6 +385,26 @@ class ITRA(nn.Module):
         seen = torch.cat([rollout.features, action, context[:, -ATTRIBUTES:]], dim=1)
         updated = self.update_hidden(seen, rollout.hidden)
         return replace(rollout, hidden=torch.where(rollout.moving, updated, rollout.hidden))
+
+    def _plan(self, rollout: Rollout, segments: Segments, network: PlainNetwork) -> Rollout:
+        """Give the first samples of each segment the proposals of a place's network."""
+        plans, planned = network.plan(segments, rollout.batch.history)
+        controlled, samples = rollout.batch.controlled, rollout.samples
+        rank = controlled.segment % samples
+        row = controlled.segment // samples, controlled.agent
+        states = plans[(*row, rank.clamp_max(plans.shape[2] - 1))]  # (E, t, 4)
+        states = torch.cat([rollout.pose[:, None], states], dim=1)
+        plan = Plan(states, planned[row] & (rank < plans.shape[2]), torch.zeros_like(rank))
+        return replace(rollout, plan=plan)
+
+    def _follow(
+        self, rollout: Rollout, plan: Plan, action: Float[Tensor, "E 2"]
+    ) -> Float[Tensor, "E 2"]:
+        """Replace the actions of agents that have a plan."""
+        batch, bicycle = rollout.batch, self.config.motion == "bicycle"
+        given = plan.follow(rollout.pose, batch.sizes, batch.segments.dt, bicycle=bicycle)
+        given = (given / given.new_tensor(self.motion.scale)).clamp(-MAX_ACTION, MAX_ACTION)
+        return torch.where(plan.goes_on[:, None], given, action)
 
     def _brake(
         self, rollout: Rollout, action: Float[Tensor, "E 2"]
