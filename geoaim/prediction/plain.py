@@ -255,7 +255,7 @@ def extend(futures: Float[Tensor, "*_ t 4"], steps: int, dt: float) -> Float[Ten
 
 
 def _go_straight(segments: Segments, history: int) -> Float[Tensor, "B N T 4"]:
-    """Let controlled agents go straight on from the last observed step, or from where they enter."""
+    """Let controlled agents go straight on from the last observed step, or where they enter."""
     starts = mark_entries(segments.present, history)  # (B, N, t)
     path = list(segments.states.unbind(2))
     for step in range(history, segments.steps):

@@ -159,8 +159,7 @@ def learn_place(model: ITRA, dataset: Dataset, *, history: int = MAX_HISTORY_STE
     train, val, ground = dataset.train, dataset.val, dataset.ground
     if model.config.num_anchors or len(ground.regions) > 1 or len(train.worlds) > 1:
         return model
-    learned = copy.copy(model)
-    learned._modules = {**model._modules}
+    learned = copy.deepcopy(model)
     learned.own_place = train_plain(train, model.config, history=history, place=True)
     before, after = (_measure_min_ade(one, val, ground, history, 0) for one in (model, learned))
     return learned if after < before else model
