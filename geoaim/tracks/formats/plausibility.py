@@ -96,7 +96,7 @@ def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> 
     wrong_headings, wrong_speeds = (one.mean() > MOST for one in (turned, wrong))
     if not (wrong_headings or wrong_speeds):
         return tracks
-    names, found = "Headings and speeds are", f"headings of {turned.sum()} agents point elsewhere"
+    names, found = "Headings and speeds are", f"{turned.sum()} agents do not move where they head"
     if not wrong_headings:
         names = "Speeds are"
         found = f"speeds are {np.median(ratio):.2f} times those of the positions and times"
