@@ -4,7 +4,7 @@ import pytest
 
 from geoaim.base.errors import GeoaimWarning, TracksError
 from geoaim.base.world import World
-from geoaim.tracks.formats import derive_motion, derive_speeds, read_tracks, read_trajnet
+from geoaim.tracks.formats import derive_speeds, read_tracks, read_trajnet
 from geoaim.tracks.formats.formats import detect_format
 from geoaim.tracks.formats.motion import make_tracks_from_positions
 from geoaim.tracks.tables import make_tracks
