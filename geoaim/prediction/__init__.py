@@ -20,6 +20,7 @@ from geoaim.prediction.items import SegmentItems
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, bootstrap_interval, compute_metrics, summarise
 from geoaim.prediction.plain import PlainNetwork, train_plain
+from geoaim.prediction.plans import Goal
 from geoaim.prediction.policies import ITRAPolicy
 from geoaim.prediction.predict import predict
 from geoaim.prediction.rollouts import Rollout
@@ -34,6 +35,7 @@ __all__ = [
     "Config",
     "Dataset",
     "EvalConfig",
+    "Goal",
     "ITRAPolicy",
     "Metric",
     "PlainNetwork",

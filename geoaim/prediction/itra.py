@@ -22,9 +22,9 @@ Shapes: B segments, K samples, N agents, T steps, E controlled agents of all seg
 H hidden state, Z latent, A proposals, P points of a proposal.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Float
@@ -49,7 +49,7 @@ from geoaim.prediction.observation import (
     render_observation,
 )
 from geoaim.prediction.plain import PlainNetwork
-from geoaim.prediction.plans import Plan
+from geoaim.prediction.plans import Goal, Plan, approach_speed, plan_through
 from geoaim.prediction.rollouts import (
     MAX_ACTION,
     Batch,
@@ -146,7 +146,7 @@ class ITRA(nn.Module):
         return Losses(nll, torch.stack(kl, dim=1).mean(), anchor_loss)
 
     @torch.no_grad()
-    def sample(
+    def sample(  # noqa: PLR0913  (what is sampled, and how)
         self,
         segments: Segments,
         ground: Ground,
@@ -155,6 +155,7 @@ class ITRA(nn.Module):
         samples: int,
         generator: torch.Generator,
         latent_scale: float = 1.0,
+        goals: Mapping[str, Goal] | None = None,
     ) -> Float[Tensor, "B K N T 4"]:
         """Sample joint futures of all controlled agents; all others replay.
 
@@ -169,6 +170,7 @@ class ITRA(nn.Module):
             samples: K futures to draw.
             generator: source of the noise, on the segments' device.
             latent_scale: a further factor on latents; 0: all samples are alike.
+            goals: way points and target speeds of agents, by the names in `segments.ids`.
 
         Returns:
             States x, y (m), heading (rad), speed (m/s) of all agents at all steps, the observed
@@ -177,7 +179,8 @@ class ITRA(nn.Module):
         Raises:
             ValueError: the segments do not fit the model.
         """
-        rollout = self.start(segments, ground, history=history, samples=samples)
+        given: dict[str, Any] = {"history": history, "samples": samples, "goals": goals}
+        rollout = self.start(segments, ground, **given)
         return self._roll_out(rollout, lambda now: self.draw_latent(now, generator, latent_scale))
 
     def decode_latents(
@@ -217,7 +220,13 @@ class ITRA(nn.Module):
             return self._roll_out(rollout, lambda now: chosen[:, now.index - history + 1])
 
     def start(
-        self, segments: Segments, ground: Ground, *, history: int, samples: int = 1
+        self,
+        segments: Segments,
+        ground: Ground,
+        *,
+        history: int,
+        samples: int = 1,
+        goals: Mapping[str, Goal] | None = None,
     ) -> Rollout:
         """Encode the observed steps of segments, for `step` to go on from.
 
@@ -226,18 +235,21 @@ class ITRA(nn.Module):
             ground: the map, as in `sample`.
             history: observed steps.
             samples: K futures of each segment, which are rows next to each other.
+            goals: way points and target speeds of agents, by the names in `segments.ids`.
 
         Returns:
             The rollout at the last observed step.
 
         Raises:
-            ValueError: the segments do not fit the model.
+            ValueError: the segments do not fit the model, or a goal's agent is not controlled.
         """
         ground = prefilter_ground(ground, self.config.resolution)
         one = index_batch(self.config, segments, ground, history)
         rollout = self._start(one, normalise_actions(self.motion, one))
         rollout = repeat_rollout(rollout, samples)
-        return rollout if self.own_place is None else self._plan(rollout, segments, self.own_place)
+        if self.own_place is None and not goals:
+            return rollout
+        return self._plan(rollout, segments, goals or {})
 
     def draw_latent(
         self, rollout: Rollout, generator: torch.Generator, scale: float = 1.0
@@ -386,16 +398,41 @@ class ITRA(nn.Module):
         updated = self.update_hidden(seen, rollout.hidden)
         return replace(rollout, hidden=torch.where(rollout.moving, updated, rollout.hidden))
 
-    def _plan(self, rollout: Rollout, segments: Segments, network: PlainNetwork) -> Rollout:
-        """Give the first samples of each segment the proposals of a place's network."""
-        plans, planned = network.plan(segments, rollout.batch.history)
-        controlled, samples = rollout.batch.controlled, rollout.samples
+    def _plan(self, rollout: Rollout, segments: Segments, goals: Mapping[str, Goal]) -> Rollout:
+        """Give agents the paths to their goals, and others the proposals of a place's network.
+
+        Each of the first samples of a segment has a proposal of its own, for all agents.
+        """
+        controlled, samples, dt = rollout.batch.controlled, rollout.samples, segments.dt
+        row, agent = controlled.segment // samples, controlled.agent
         rank = controlled.segment % samples
-        row = controlled.segment // samples, controlled.agent
-        states = plans[(*row, rank.clamp_max(plans.shape[2] - 1))]  # (E, t, 4)
-        states = torch.cat([rollout.pose[:, None], states], dim=1)
-        plan = Plan(states, planned[row] & (rank < plans.shape[2]), torch.zeros_like(rank))
-        return replace(rollout, plan=plan)
+        states, steps = rollout.pose[:, None], torch.zeros_like(rank)
+        if self.own_place is not None:
+            plans, planned = self.own_place.plan(segments, rollout.batch.history)
+            proposed = plans[row, agent, rank.clamp_max(plans.shape[2] - 1)]  # (E, t, 4)
+            states = torch.cat([states, proposed], dim=1)
+            follows = planned[row, agent] & (rank < plans.shape[2])
+            steps = torch.where(follows, proposed.shape[1], steps)
+        speeds = torch.full_like(rollout.pose[:, 3], torch.nan)
+        for name, goal in goals.items():
+            found = [
+                k
+                for k, (i, j) in enumerate(zip(row.tolist(), agent.tolist(), strict=True))
+                if segments.ids and j < len(segments.ids[i]) and segments.ids[i][j] == name
+            ]
+            if not found:
+                raise ValueError(f"a goal is of agent {name}, which the model does not control")
+            speeds[found] = torch.nan if goal.speed is None else goal.speed
+            steps[found] = 0
+            for k in found if goal.points else ():
+                path = plan_through(rollout.pose[k], goal, dt)
+                more = len(path) - states.shape[1]
+                if more > 0:
+                    states = torch.cat([states, states[:, -1:].expand(-1, more, -1)], dim=1)
+                states = states.clone()
+                states[k, : len(path)] = path
+                steps[k] = len(path) - 1
+        return replace(rollout, plan=Plan(states, steps, torch.zeros_like(rank)), speeds=speeds)
 
     def _follow(
         self, rollout: Rollout, plan: Plan, action: Float[Tensor, "E 2"]
@@ -404,6 +441,10 @@ class ITRA(nn.Module):
         batch, bicycle = rollout.batch, self.config.motion == "bicycle"
         given = plan.follow(rollout.pose, batch.sizes, batch.segments.dt, bicycle=bicycle)
         given = (given / given.new_tensor(self.motion.scale)).clamp(-MAX_ACTION, MAX_ACTION)
+        if rollout.speeds is not None:
+            steered = approach_speed(rollout.pose, rollout.speeds) / self.motion.scale[0]
+            steered = torch.where(rollout.speeds.isnan(), action[:, 0], steered)
+            action = torch.stack([steered, action[:, 1]], dim=1)
         return torch.where(plan.goes_on[:, None], given, action)
 
     def _brake(

@@ -77,6 +77,7 @@ class Rollout:
         latent: (E, Z) latents of the last step.
         curvature: (E,) of the arcs on which agents drive, 1/m, of a model that brakes for others.
         plan: paths that agents follow, of a model that was trained on a place or that is steered.
+        speeds: (E,) target speeds of agents that are steered, m/s; NaN: it has none.
     """
 
     batch: Batch
@@ -89,6 +90,7 @@ class Rollout:
     latent: Float[Tensor, "E Z"] | None = None
     curvature: Float[Tensor, "E"] | None = None
     plan: Plan | None = None
+    speeds: Float[Tensor, "E"] | None = None
 
     @property
     def pose(self) -> Float[Tensor, "E 4"]:

@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 import torch
 
@@ -5,6 +7,7 @@ from geoaim.prediction.checkpoints import read_model, write_model
 from geoaim.prediction.items import SegmentItems
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.plain import train_plain
+from geoaim.prediction.plans import Goal
 from geoaim.prediction.segments import pick
 from tests.prediction.tiny import TINY, drive, hill
 
@@ -78,3 +81,21 @@ def test_segments_are_loaded_in_batches():
     assert batch["ego"].tolist() == [0, 0, 0]
     with pytest.raises(IndexError, match="index 3 of 3"):
         items[3]
+
+
+def test_agents_are_steered_through_way_points_and_to_a_speed():
+    model, segments = ITRA(TINY).eval(), drive(steps=50)
+    segments = dataclasses.replace(segments, ids=(("a", "p"), ("b", "q"), ("c", "r")))
+    now = segments.states[:, 0, 9]
+    goal = tuple((now[0, :2] + torch.tensor([14.0, 4.0])).tolist())
+    goals = {"a": Goal([goal], times=[3.0]), "b": Goal(speed=9.0)}
+    generator = torch.Generator().manual_seed(0)
+    given = {"history": 10, "samples": 2, "generator": generator}
+    futures = model.sample(segments, hill(), goals=goals, **given)
+    reached = futures[0, :, 0, 9 + 30, :2] - torch.tensor(goal)
+    assert (reached.norm(dim=-1) < 1.0).all()
+    assert ((futures[1, :, 0, -1, 3] - 9).abs() < 0.5).all()
+    with pytest.raises(ValueError, match="agent p"):
+        model.sample(segments, hill(), goals={"p": goals["a"]}, **given)
+    with pytest.raises(ValueError, match="rising"):
+        Goal([(0.0, 1.0)], times=[-1.0])
