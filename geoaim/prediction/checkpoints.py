@@ -39,6 +39,7 @@ def write_model(model: ITRA, path: str | os.PathLike[str]) -> None:
         state["own_place"] = {
             "history": place.history,
             "horizon": place.horizon,
+            "yields": place.yields,
             "weights": tensors,
         }
     if (known := model.known_views) is not None:
@@ -65,7 +66,7 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
         if "known_views" in state:
             model.known_views = KnownViews(**state["known_views"])
         if "own_place" in state:
-            model.own_place = _read_place(model.config, **state["own_place"])
+            model.own_place = _read_place(model.config, state["own_place"])
             weights |= state["own_place"]["weights"]
     infinite = [name for name, value in weights.items() if not value.isfinite().all()]
     if infinite:
@@ -75,11 +76,11 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
     return model.eval()
 
 
-def _read_place(
-    config: Config, history: int, horizon: int, weights: dict[str, Any]
-) -> PlainNetwork:
+def _read_place(config: Config, state: dict[str, Any]) -> PlainNetwork:
     """Make the network of a place from its part of a file."""
-    network = PlainNetwork(config, history, horizon, weights.get("cells"))
+    weights = state["weights"]
+    options = {"yields": state["yields"], "cells": weights.get("cells")}
+    network = PlainNetwork(config, state["history"], state["horizon"], **options)
     network.load_state_dict(weights)
     return network
 

@@ -49,7 +49,7 @@ from geoaim.prediction.observation import (
     render_observation,
 )
 from geoaim.prediction.plain import PlainNetwork
-from geoaim.prediction.plans import Goal, Plan, approach_speed, plan_through
+from geoaim.prediction.plans import BRAKING_AHEAD_S, Goal, Plan, approach_speed, plan_through
 from geoaim.prediction.rollouts import (
     MAX_ACTION,
     Batch,
@@ -413,6 +413,7 @@ class ITRA(nn.Module):
             states = torch.cat([states, proposed], dim=1)
             follows = planned[row, agent] & (rank < plans.shape[2])
             steps = torch.where(follows, proposed.shape[1], steps)
+        yields = (steps == 0) | (self.own_place is None or self.own_place.yields)
         speeds = torch.full_like(rollout.pose[:, 3], torch.nan)
         for name, goal in goals.items():
             found = [
@@ -423,7 +424,7 @@ class ITRA(nn.Module):
             if not found:
                 raise ValueError(f"a goal is of agent {name}, which the model does not control")
             speeds[found] = torch.nan if goal.speed is None else goal.speed
-            steps[found] = 0
+            steps[found], yields[found] = 0, True
             for k in found if goal.points else ():
                 path = plan_through(rollout.pose[k], goal, dt)
                 more = len(path) - states.shape[1]
@@ -432,7 +433,9 @@ class ITRA(nn.Module):
                 states = states.clone()
                 states[k, : len(path)] = path
                 steps[k] = len(path) - 1
-        return replace(rollout, plan=Plan(states, steps, torch.zeros_like(rank)), speeds=speeds)
+        return replace(
+            rollout, plan=Plan(states, steps, yields, torch.zeros_like(rank)), speeds=speeds
+        )
 
     def _follow(
         self, rollout: Rollout, plan: Plan, action: Float[Tensor, "E 2"]
@@ -456,6 +459,9 @@ class ITRA(nn.Module):
         curvature = compute_curvature(wanted[:, 1], batch.sizes[:, 0])
         if rollout.curvature is not None:  # actions jitter
             curvature = torch.lerp(rollout.curvature, curvature, CURVATURE_SHARE)
+        if (plan := rollout.plan) is not None:
+            arc = plan.aim(pose, BRAKING_AHEAD_S, batch.segments.dt)
+            curvature = torch.where(plan.goes_on, arc, curvature)
         others = gather_others(rollout)
         turns = torch.zeros_like(rollout.states[..., 0])
         turns = turns.index_put(batch.controlled.index, curvature)[batch.controlled.segment]
@@ -463,6 +469,8 @@ class ITRA(nn.Module):
             pose, batch.sizes, curvature, *others[:2], turns, others[2], batch.segments.dt
         )
         lower = torch.minimum(action[:, 0], most / self.motion.scale[0])
+        if plan is not None:
+            lower = torch.where(plan.goes_on & ~plan.yields, action[:, 0], lower)
         limited = torch.stack([lower, action[:, 1]], dim=1)
         return limited, replace(rollout, curvature=curvature)
 

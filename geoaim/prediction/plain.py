@@ -36,6 +36,7 @@ class PlainNetwork(nn.Module):
         config: motion, dt and kind of the agents.
         history: observed steps that it reads; missing ones are continued backwards.
         horizon: steps that it proposes.
+        yields: whether those who follow it brake for others, if the model does.
         cells: (M, 2) numbers of the cells of a place in which it knows traffic, for a network that
             knows where an agent is; None: it does not.
     """
@@ -43,9 +44,16 @@ class PlainNetwork(nn.Module):
     cells: Tensor | None
 
     def __init__(
-        self, config: Config, history: int, horizon: int, cells: Float[Tensor, "M 2"] | None = None
+        self,
+        config: Config,
+        history: int,
+        horizon: int,
+        *,
+        yields: bool = True,
+        cells: Float[Tensor, "M 2"] | None = None,
     ) -> None:
         super().__init__()
+        self.yields = yields
         self.dt, self.history, self.horizon = config.dt, history, horizon
         self.knots = 1 + max(1, round(horizon * config.dt / KNOT_S))
         self.register_buffer("cells", cells)
@@ -208,7 +216,8 @@ def train_plain(
     generator = torch.Generator().manual_seed(0)
     with torch.random.fork_rng(devices=[]), torch.enable_grad():
         torch.manual_seed(0)
-        network = PlainNetwork(config, history, segments.steps - history, cells).to(states.device)
+        network = PlainNetwork(config, history, segments.steps - history, cells=cells)
+        network.to(states.device)
         optimiser = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=0.01)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             optimiser, LEARNING_RATE, total_steps=steps + 1

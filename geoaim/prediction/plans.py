@@ -16,6 +16,7 @@ from torch import Tensor
 from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH, agent_from_world
 
 AHEAD_S = 0.5  # of the point that agents steer for
+BRAKING_AHEAD_S = 2.0  # of the point on the arc on which they brake for others
 CATCH_UP_S = 0.5  # in which a lag behind the plan is made up for
 MAX_SPEEDING_UP = 4.0  # m/s²
 MIN_AHEAD_M = 1.0  # of that point; nearer ones give no direction
@@ -60,11 +61,13 @@ class Plan:
     Attributes:
         states: (E, t, 4) states, the first ones at the last observed step.
         steps: of each agent's plan; 0: it has none.
+        yields: which agents brake for others on the way, if the model does.
         done: steps of the plan that each agent has taken.
     """
 
     states: Float[Tensor, "E t 4"]
     steps: Int[Tensor, "E"]
+    yields: Bool[Tensor, "E"]
     done: Int[Tensor, "E"]
 
     @property
@@ -80,14 +83,18 @@ class Plan:
         lag = agent_from_world(pose, now[:, :2])[:, 0]
         speed = after[:, 3] + lag / CATCH_UP_S
         acceleration = ((speed - pose[:, 3]) / dt).clamp_max(MAX_SPEEDING_UP)
-        aim = self._look_up(self.done + max(1, round(AHEAD_S / dt)))
-        x, y = agent_from_world(pose, aim[:, :2]).unbind(1)
-        distance = x.square() + y.square()
-        curvature = torch.where(distance > MIN_AHEAD_M**2, 2 * y / distance.clamp_min(1e-6), 0.0)
+        curvature = self.aim(pose, AHEAD_S, dt)
         if not bicycle:
             return torch.stack([acceleration, curvature * speed], dim=1)
         sine = (curvature * WHEELBASE_PER_LENGTH / 2 * sizes[:, 0]).clamp(-0.9, 0.9)
         return torch.stack([acceleration, torch.atan(2 * torch.tan(torch.asin(sine)))], dim=1)
+
+    def aim(self, pose: Float[Tensor, "E 4"], ahead: float, dt: float) -> Float[Tensor, "E"]:
+        """Curvatures, 1/m, of the arcs to the points of the plans `ahead` seconds later."""
+        point = self._look_up(self.done + max(1, round(ahead / dt)))
+        x, y = agent_from_world(pose, point[:, :2]).unbind(1)
+        distance = x.square() + y.square()
+        return torch.where(distance > MIN_AHEAD_M**2, 2 * y / distance.clamp_min(1e-6), 0.0)
 
     def advance(self, pose: Float[Tensor, "E 4"], braked: Bool[Tensor, "E"]) -> "Plan":
         """Count a step; of who braked, only as many steps as it has gone of the path."""

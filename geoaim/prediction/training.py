@@ -145,8 +145,8 @@ def train(
 def learn_place(model: ITRA, dataset: Dataset, *, history: int = MAX_HISTORY_STEPS) -> ITRA:
     """Give a model a network of one place, which is trained in seconds.
 
-    The network is kept if it lowers minADE in validation, and left out for models with trajectory
-    proposals and datasets of several places.
+    minADE in validation decides whether it is kept, and whether those who follow it brake for others
+    where the model does. Models with trajectory proposals, and of several places, get none.
 
     Args:
         model: a trained model.
@@ -160,9 +160,15 @@ def learn_place(model: ITRA, dataset: Dataset, *, history: int = MAX_HISTORY_STE
     if model.config.num_anchors or len(ground.regions) > 1 or len(train.worlds) > 1:
         return model
     learned = copy.deepcopy(model)
-    learned.own_place = train_plain(train, model.config, history=history, place=True)
-    before, after = (_measure_min_ade(one, val, ground, history, 0) for one in (model, learned))
-    return learned if after < before else model
+    network = train_plain(train, model.config, history=history, place=True)
+    learned.own_place = network
+    errors = {}
+    for yields in (True, False) if model.config.brakes else (True,):
+        network.yields = yields
+        errors[yields] = _measure_min_ade(learned, val, ground, history, 0)
+    network.yields = min(errors, key=lambda yields: errors[yields])
+    before = _measure_min_ade(model, val, ground, history, 0)
+    return learned if errors[network.yields] < before else model
 
 
 def find_best_step(log: Sequence[Mapping[str, float]]) -> int:
