@@ -1,7 +1,7 @@
 """The command that evaluates a prediction model."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 
 from geoaim.base.defaults import SAMPLES
-from geoaim.base.errors import warn
+from geoaim.base.errors import TracksError, warn
 from geoaim.base.progress import Progress
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
@@ -24,6 +24,8 @@ from geoaim.cli.inputs import (
 
 if TYPE_CHECKING:
     from geoaim.prediction.itra import ITRA
+    from geoaim.prediction.plain import PlainNetwork
+    from geoaim.rendering.scene import Scene
 
 
 # metrics by predictor and name; "segments" or "windows", and how many; predicted time with unit
@@ -64,6 +66,9 @@ def evaluate(
 ) -> None:
     """Evaluate a prediction model and compare it with constant-velocity and -turn-rate baselines.
 
+    With --val-fraction also with a plain network of an agent's own past, which is trained on the
+    beginning of the tracks in seconds.
+
     On an AIM with tracks: minADE, minFDE, MFD, collisions and traffic violations, also those of
     the recording itself, and with --realism how likely it is under the samples. On windows of the
     Stanford Drone Dataset: minADE and minFDE in pixels and metres. Confidence intervals of 95 % are
@@ -86,7 +91,7 @@ def evaluate(
         else:
             model, windows_files = load_model(weights), (windows, images, scenes)
             result = _evaluate_on_windows(windows_files, model, samples, seed, progress)
-    _print_result(result, samples, as_json)
+    print_result(result, samples, as_json)
 
 
 def _evaluate_on_map(
@@ -97,32 +102,52 @@ def _evaluate_on_map(
     progress: Progress,
 ) -> Result:
     """Evaluate a model and baselines jointly for all agents of its kind on a scene."""
-    from geoaim.prediction import evaluation
-    from geoaim.prediction.baselines import BASELINES, replay
+    from geoaim.prediction.baselines import BASELINES, Predictor, replay
     from geoaim.prediction.config import MAX_HISTORY_STEPS
-    from geoaim.prediction.cutting import cut_segments
-    from geoaim.prediction.dataset import split_scene
-    from geoaim.prediction.metrics import keep_rates
-    from geoaim.prediction.segments import control_present
-    from geoaim.rendering.prefiltering import prefilter_ground
+    from geoaim.prediction.evaluation import RECORDING, EvalConfig, judge
     from geoaim.simulation.road_rules import check_rules, make_road_rules
 
     config, horizon = model.config, get_horizon(model)
-    whole, hdmap, _ = read_scene(source, rate=1 / config.dt)
-    rules = check_rules(whole, make_road_rules(hdmap))
-    _, scene = split_scene(whole, fraction)
-    steps = MAX_HISTORY_STEPS + horizon
-    segments = cut_segments(scene, config.kind, steps=steps, stride=steps, joint=True)
-    if config.num_anchors:  # a proposal needs all observed steps of its agent
-        segments = control_present(segments, slice(MAX_HISTORY_STEPS))
-    ground = prefilter_ground(scene.ground, config.resolution)
-    given = segments, ground, evaluation.EvalConfig(MAX_HISTORY_STEPS, **choices)
-    metrics = {
-        name: evaluation.evaluate(predictor, *given, rules=rules, progress=progress)
-        for name, predictor in {"model": model.sample, **BASELINES, "recording": replay}.items()
-    }
-    metrics["recording"] = keep_rates(metrics["recording"])
-    return metrics, "segments", len(segments), f"{horizon * config.dt:g} s"
+    scene, hdmap, _ = read_scene(source, rate=1 / config.dt)
+    rules = check_rules(scene, make_road_rules(hdmap))
+    predictors: dict[str, Predictor] = {"model": model.sample, **BASELINES}
+    plain = train_on_beginning(model, [scene], fraction)
+    if plain is not None:
+        predictors["plain network"] = plain.sample
+    metrics = judge(
+        {**predictors, RECORDING: replay},
+        [scene],
+        config,
+        EvalConfig(MAX_HISTORY_STEPS, **choices),
+        fraction=fraction,
+        horizon=horizon,
+        rules=rules,
+        progress=progress,
+    )
+    count = len(metrics["model"]["minADE"].sums)
+    return metrics, "segments", count, f"{horizon * config.dt:g} s"
+
+
+def train_on_beginning(
+    model: "ITRA", scenes: "Sequence[Scene]", fraction: float
+) -> "PlainNetwork | None":
+    """Train the plain network on what comes before the end of scenes; None if that is too short."""
+    from geoaim.prediction.config import MAX_HISTORY_STEPS
+    from geoaim.prediction.dataset import cut_with_parked, split_scene
+    from geoaim.prediction.plain import train_plain
+    from geoaim.prediction.segments import concat
+
+    if fraction == 1.0 or model.config.motion == "slide":
+        return None
+    steps, parts = MAX_HISTORY_STEPS + get_horizon(model), []
+    for scene in scenes:
+        try:
+            parts.append(cut_with_parked(split_scene(scene, fraction)[0], model.config, steps))
+        except TracksError:
+            continue
+    if not parts:
+        return None
+    return train_plain(concat(parts), model.config, history=MAX_HISTORY_STEPS)
 
 
 def _evaluate_on_windows(
@@ -149,7 +174,7 @@ def _evaluate_on_windows(
     return metrics, "windows", len(data.segments), f"{horizon} steps"
 
 
-def _print_result(result: Result, samples: int, as_json: bool) -> None:
+def print_result(result: Result, samples: int, as_json: bool = False) -> None:
     """Print metrics as a table, a column for each method, or as JSON."""
     from geoaim.prediction.metrics import MIN_SEGMENTS, summarise
     from geoaim.prediction.report import format_cell

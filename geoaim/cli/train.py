@@ -9,18 +9,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from geoaim.base.defaults import SAMPLES
 from geoaim.base.progress import Progress
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
-from geoaim.cli.inputs import SceneFiles, SceneSource, load_model, take_scene_files
+from geoaim.cli.evaluate import Result, print_result, train_on_beginning
+from geoaim.cli.inputs import SceneFiles, SceneSource, get_horizon, load_model, take_scene_files
 from geoaim.cli.outputs import check_output
 
 if TYPE_CHECKING:
     from geoaim.prediction.config import TrainConfig
     from geoaim.prediction.dataset import Dataset
     from geoaim.prediction.itra import ITRA
+    from geoaim.rendering.scene import Scene
 
-STEPS, BATCH_SIZE = 200, 32  # defaults
+STEPS, BATCH_SIZE = 100, 32  # defaults
 CHECKPOINT_STEPS = 50  # steps from one checkpoint to the next
 TIMED_STEPS = 10  # after which it is said how long the others take
 
@@ -50,7 +53,7 @@ def train(
         ),
     ] = False,
     steps: Annotated[
-        int | None, typer.Option(help="optimiser steps; 200, of windows 4000", min=1)
+        int | None, typer.Option(help="optimiser steps; 100, of windows 4000", min=1)
     ] = None,
     batch_size: Annotated[
         int | None, typer.Option(help="segments in a batch; 32, of windows 128", min=1)
@@ -75,26 +78,35 @@ def train(
     ] = None,
     val_fraction: Annotated[
         float,
-        typer.Option(help="fraction at the end of the tracks for validation", min=0.01, max=0.9),
+        typer.Option(
+            help="fraction at the end of the tracks on which the result is judged",
+            min=0.01,
+            max=0.9,
+        ),
     ] = 0.1,
     seed: options.Seed = 0,
     files: SceneFiles,
 ) -> None:
     """Train a prediction model on your map: fine-tune a trained model, or start from scratch.
 
-    The step with the lowest minADE in validation is kept; a training that makes nothing better says
-    so. An interrupted training resumes when the same command is called again. Use the model with
-    --weights FOLDER/model.pt in predict and evaluate; give evaluate the same --val-fraction.
+    One of seven agents is held out to choose the step that is kept; a training that makes nothing
+    better says so. Then a network of this place is trained in seconds, and the model before and
+    after is judged at the end of the tracks, beside baselines. An interrupted training resumes when
+    the same command is called again. Use the model with --weights FOLDER/model.pt in predict and
+    evaluate; give evaluate the same --val-fraction.
 
     On TrajNet windows (--windows, --scenes, and --images for their maps), a new model with
     trajectory proposals is trained, as for the Stanford benchmark; evaluate takes the same options.
 
     Example: geoaim train map.tif --tracks samples/tracks.csv --val-fraction 0.4 -o model
     """
+    from geoaim.prediction.checkpoints import write_model
     from geoaim.prediction.config import configure_fine_tuning, configure_training
     from geoaim.prediction.report import plot_training
+    from geoaim.prediction.training import learn_place
     from geoaim.prediction.training import train as train_model
 
+    judged: Result | None = None
     with show_progress() as progress, report_errors():
         check_output(output / "model.pt", inputs=[weights])
         view = {"view_size": view_size, "resolution": view_resolution}
@@ -110,7 +122,9 @@ def train(
         else:
             source = SceneSource(aim, tracks, **files)
             model = _init_model(weights, kind, seed, view) if scratch else load_model(weights, kind)
-            dataset = _make_dataset(source, model, val_fraction, segment_duration, progress)
+            scenes_read, dataset = _make_dataset(
+                source, model, val_fraction, segment_duration, progress
+            )
             configure = configure_training if scratch else configure_fine_tuning
             config = configure(model.config.kind, steps=STEPS, batch_size=BATCH_SIZE, seed=seed)
             config = replace(config, checkpoint_interval=CHECKPOINT_STEPS)
@@ -121,17 +135,27 @@ def train(
         }
         config = replace(config, **{k: v for k, v in chosen.items() if v is not None})
         try:
-            train_model(model, config, dataset, output, progress=_announce_duration(progress))
+            report = _announce_duration(progress)
+            trained = train_model(model, config, dataset, output, progress=report)
         except (KeyboardInterrupt, SystemExit):
             console.print(_describe_checkpoint(output))
             raise
         plot_training(output / "log.csv", output / "curves.png")
-    held_out = "of them" if windows is not None else f"of the last {100 * val_fraction:g} %"
+        if windows is None:
+            placed = learn_place(trained, dataset)
+            if placed.own_place is not None:
+                write_model(placed, output / "model.pt")
+            before = None if scratch else model
+            judged = _judge(before, placed, scenes_read, val_fraction, progress)
+    held_out = "of them" if windows is not None else "of other agents"
     console.print(
-        f"{output / 'model.pt'}: trained on {len(dataset.train)} segments, validated on "
+        f"{output / 'model.pt'}: trained on {len(dataset.train)} segments, chosen by "
         f"{len(dataset.val)} {held_out}: "
         f"{_summarize_log(output / 'log.csv')}; see {output / 'curves.png'}"
     )
+    if judged is not None:
+        console.print(f"Judged on the last {100 * val_fraction:g} % of the tracks:")
+        print_result(judged, SAMPLES)
 
 
 def _make_dataset(
@@ -140,10 +164,13 @@ def _make_dataset(
     val_fraction: float,
     segment_duration: float | None,
     progress: Progress,
-) -> "Dataset":
-    """Read recordings, one or a table of them, and cut them into segments."""
+) -> "tuple[list[Scene], Dataset]":
+    """Read recordings, one or a table of them; segments to train on, and those of held-out agents.
+
+    The end of each recording is in neither part.
+    """
     from geoaim.cli.inputs import read_scene_sources, read_scenes
-    from geoaim.prediction.dataset import make_dataset
+    from geoaim.prediction.dataset import hold_out_agents, make_dataset
 
     sources, dt = [source], model.config.dt
     if source.aim.suffix.lower() == ".csv":
@@ -152,13 +179,36 @@ def _make_dataset(
                 f"{source.aim} names the files of each recording; leave their options out"
             )
         sources = read_scene_sources(source.aim)
-    return make_dataset(
-        read_scenes(sources, 1 / dt, progress),
+    scenes = list(read_scenes(sources, 1 / dt, progress))
+    dataset = make_dataset(
+        scenes,
         model.config,
         val_fraction=val_fraction,
         segment_steps=None if segment_duration is None else round(segment_duration / dt),
         progress=progress,
     )
+    train, val = hold_out_agents(dataset.train)
+    return scenes, replace(dataset, train=train, val=val)
+
+
+def _judge(
+    before: "ITRA | None", after: "ITRA", scenes: "list[Scene]", fraction: float, progress: Progress
+) -> Result:
+    """Judge a model before and after its training beside baselines, at the end of scenes."""
+    from geoaim.prediction.baselines import BASELINES, Predictor
+    from geoaim.prediction.config import MAX_HISTORY_STEPS
+    from geoaim.prediction.evaluation import EvalConfig, judge
+
+    predictors: dict[str, Predictor] = {} if before is None else {"before": before.sample}
+    predictors |= {"after": after.sample, **BASELINES}
+    plain = train_on_beginning(after, scenes, fraction)
+    if plain is not None:
+        predictors["plain network"] = plain.sample
+    options, horizon = EvalConfig(MAX_HISTORY_STEPS, SAMPLES), get_horizon(after)
+    given = predictors, scenes, after.config, options
+    metrics = judge(*given, fraction=fraction, horizon=horizon, progress=progress)
+    count = len(metrics["after"]["minADE"].sums)
+    return metrics, "segments", count, f"{horizon * after.config.dt:g} s"
 
 
 def _announce_duration(progress: Progress) -> Progress:

@@ -16,13 +16,16 @@ from geoaim.prediction.config import (
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.dataset import Dataset, make_dataset
 from geoaim.prediction.evaluation import EvalConfig, evaluate, evaluate_windows
+from geoaim.prediction.items import SegmentItems
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, bootstrap_interval, compute_metrics, summarise
+from geoaim.prediction.plain import PlainNetwork, train_plain
+from geoaim.prediction.plans import Goal
 from geoaim.prediction.policies import ITRAPolicy
 from geoaim.prediction.predict import predict
 from geoaim.prediction.rollouts import Rollout
 from geoaim.prediction.segments import Segments
-from geoaim.prediction.training import init_model, train
+from geoaim.prediction.training import init_model, learn_place, train
 from geoaim.prediction.windows import WindowFiles, Windows, read_windows
 
 __all__ = [
@@ -32,10 +35,13 @@ __all__ = [
     "Config",
     "Dataset",
     "EvalConfig",
+    "Goal",
     "ITRAPolicy",
     "Metric",
+    "PlainNetwork",
     "Predictor",
     "Rollout",
+    "SegmentItems",
     "Segments",
     "TrainConfig",
     "WindowFiles",
@@ -48,6 +54,7 @@ __all__ = [
     "evaluate",
     "evaluate_windows",
     "init_model",
+    "learn_place",
     "make_dataset",
     "predict",
     "read_model",
@@ -55,5 +62,6 @@ __all__ = [
     "read_windows",
     "summarise",
     "train",
+    "train_plain",
     "write_model",
 ]

@@ -21,6 +21,7 @@ from geoaim.base.limits import refuse_damaged
 from geoaim.prediction.config import Config
 from geoaim.prediction.familiarity import KnownViews
 from geoaim.prediction.itra import ITRA
+from geoaim.prediction.plain import PlainNetwork
 
 FORMAT = FileFormat("model", 2, 3, first_checked=3, error=ModelError)
 MAX_NUMBERS = {"dt": 10, "resolution": 100, "view_size": 1024, "view_stride": 1000}
@@ -29,8 +30,20 @@ PRETRAINED = Path(__file__).parent / "models"
 
 def write_model(model: ITRA, path: str | os.PathLike[str]) -> None:
     """Write a model's config, weights (16-bit floats), and what views it knows."""
-    weights = {name: value.detach().cpu().half() for name, value in model.state_dict().items()}
+    weights = {
+        name: value.detach().cpu().half()
+        for name, value in model.state_dict().items()
+        if not name.startswith("own_place.")
+    }
     state: dict[str, Any] = {"config": asdict(model.config), "weights": weights}
+    if (place := model.own_place) is not None:
+        tensors = {name: value.cpu() for name, value in place.state_dict().items()}
+        state["own_place"] = {
+            "history": place.history,
+            "horizon": place.horizon,
+            "yields": place.yields,
+            "weights": tensors,
+        }
     if (known := model.known_views) is not None:
         tensors = {name: getattr(known, name).cpu().float() for name in ("mean", "whitening")}
         state["known_views"] = {**tensors, "limit": known.limit}
@@ -55,6 +68,9 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
         model.load_state_dict(weights, assign=True)
         if "known_views" in state:
             model.known_views = KnownViews(**state["known_views"])
+        if "own_place" in state:
+            model.own_place = _read_place(model.config, state["own_place"])
+            weights |= state["own_place"]["weights"]
     infinite = [name for name, value in weights.items() if not value.isfinite().all()]
     if infinite:
         raise ModelError(
@@ -81,6 +97,15 @@ def _check_weights(weights: dict[str, torch.Tensor], model: ITRA) -> None:
             raise ValueError(f"its {name} is no tensor of numbers")
         if value.shape != wanted.shape or value.untyped_storage().nbytes() < value.nbytes:
             raise ValueError(f"its {name} has another size than its config says")
+
+
+def _read_place(config: Config, state: dict[str, Any]) -> PlainNetwork:
+    """Make the network of a place from its part of a file."""
+    weights = state["weights"]
+    options = {"yields": state["yields"], "cells": weights.get("cells")}
+    network = PlainNetwork(config, state["history"], state["horizon"], **options)
+    network.load_state_dict(weights)
+    return network
 
 
 def read_pretrained(kind: str) -> ITRA:
@@ -117,7 +142,7 @@ def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
     try:
         with ZipFile(path) as archive:  # packed, a small file could need any memory
             if any(record.compress_type != ZIP_STORED for record in archive.infolist()):
-                raise ValueError
+                raise ValueError("packed")
         state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception:  # pickle, zip and torch raise errors of their own
         raise ModelError(f"{path} is not a model that geoaim wrote; give a model.pt") from None

@@ -47,13 +47,17 @@ def cut_segments(
         raise ValueError("the scene's steps are not at even intervals; resample the tracks")
     scene = _keep_observed(scene)
     agents = mask_agents(scene, group) & ((_compute_travel(scene) > MIN_TRAVEL_M) ^ parked)
-    complete = _find_complete(scene, agents, steps, stride)
-    if not complete.any():
-        longest = int(scene.present[agents].sum(dim=1).max()) if agents.any() else 0
+    longest = _measure_longest(scene.present[agents])
+    if longest < steps:
         raise TracksError(
-            f"no {'parked' if parked else 'moving'} {group} is present for {steps} steps of "
-            f"{dt:g} s; the longest track has {longest}"
+            f"no {'parked' if parked else 'moving'} {group} is there for {steps * dt:g} s at a "
+            f"time; the longest is there for {longest * dt:g} s, of the {len(scene.times) * dt:g} "
+            "s that were looked at"
         )
+    complete = _find_complete(scene, agents, steps, stride)
+    while not complete.any():  # the longest stretch lies between two starts
+        stride = max(1, stride // 2)
+        complete = _find_complete(scene, agents, steps, stride)
     parts = []
     for number in complete.any(dim=0).nonzero()[:, 0].tolist():
         piece = slice_scene(scene, slice(number * stride, number * stride + steps))
@@ -123,6 +127,15 @@ def _keep_observed(scene: Scene) -> Scene:
     """Count agents as present only where their states are known from the past alone."""
     known = torch.isfinite(scene.observed).all(dim=2)
     return replace(scene, present=scene.present & known)
+
+
+def _measure_longest(present: Bool[Tensor, "n T"]) -> int:
+    """The most steps in a row at which one of some agents is there."""
+    row = longest = torch.zeros(len(present), dtype=torch.long, device=present.device)
+    for there in present.unbind(1):
+        row = torch.where(there, row + 1, 0)
+        longest = torch.maximum(longest, row)
+    return int(longest.max()) if len(present) else 0
 
 
 def _find_complete(

@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import torch
+
 from geoaim.base.errors import TracksError, warn
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES, Config
@@ -17,6 +19,7 @@ from geoaim.rendering.scene import Scene, slice_scene
 PARTS = ("training", "validation")
 MAP_DENSITY = 2  # map pixels per side of a view pixel: fewer than by default, to save memory
 PARKED_SHARE = 0.6  # most segments of parked agents for each one of a moving agent
+HELD_OUT = 7  # one of so many agents is held out, to choose by
 VAL_FRACTION = 0.05  # share of each recording, at its end, as in the paper
 
 
@@ -63,7 +66,7 @@ def make_dataset(
     for number, (name, source, piece) in enumerate(pieces):
         progress("segments", number, len(pieces))
         try:
-            segments = _cut_with_parked(piece, config, segment_steps)
+            segments = cut_with_parked(piece, config, segment_steps)
         except TracksError as error:
             problems[name].append(f"no {name} segments in {source}: {error}")
         else:
@@ -92,6 +95,46 @@ def split_scene(scene: Scene, val_fraction: float) -> tuple[Scene, Scene]:
     return slice_scene(scene, slice(0, first)), slice_scene(scene, slice(first, None))
 
 
+def cut_with_parked(scene: Scene, config: Config, steps: int | None = None) -> Segments:
+    """Cut segments of moving agents, and some of parked ones, which then are known to stay.
+
+    Args:
+        scene: a scene with the config's dt.
+        config: the model's configuration: its agent kind.
+        steps: length of a segment; None: that of the kind.
+
+    Returns:
+        Segments with one controlled agent each.
+
+    Raises:
+        TracksError: no moving agent of the kind is there for long enough.
+    """
+    steps, stride = steps or SEGMENT_STEPS[config.kind], SEGMENT_STRIDES[config.kind]
+    moving = cut_segments(scene, config.kind, steps=steps, stride=stride)
+    try:
+        parked = cut_segments(scene, config.kind, steps=steps, stride=steps, parked=True)
+    except TracksError:  # there are none
+        return moving
+    thinning = math.ceil(len(parked) / (PARKED_SHARE * len(moving)))
+    return concat([moving, pick(parked, slice(None, None, thinning))])
+
+
+def hold_out_agents(segments: Segments) -> tuple[Segments, Segments]:
+    """Split segments of single agents by agent: those to train on, and those to choose by.
+
+    Every `HELD_OUT`-th agent is held out; a single agent is in both.
+    """
+    column = segments.controlled.int().argmax(dim=1).tolist()
+    names = [row[agent] for row, agent in zip(segments.ids, column, strict=True)]
+    order = {name: number for number, name in enumerate(dict.fromkeys(names))}
+    held = torch.tensor([order[name] % HELD_OUT == HELD_OUT - 1 for name in names])
+    if not held.any():
+        held = torch.tensor([order[name] == len(order) - 1 for name in names])
+    if held.all():
+        return segments, segments
+    return pick(segments, ~held), pick(segments, held)
+
+
 def _list_pieces(
     scenes: Sequence[Scene], val_scenes: Sequence[Scene], val_fraction: float
 ) -> list[tuple[str, str, Scene]]:
@@ -109,18 +152,6 @@ def _list_pieces(
         source = f"recording {number + 1} of {len(val_scenes)} to validate with"
         pieces.append(("validation", source, scene))
     return pieces
-
-
-def _cut_with_parked(scene: Scene, config: Config, steps: int | None) -> Segments:
-    """Cut segments of moving agents, and some of parked ones, which then are known to stay."""
-    steps, stride = steps or SEGMENT_STEPS[config.kind], SEGMENT_STRIDES[config.kind]
-    moving = cut_segments(scene, config.kind, steps=steps, stride=stride)
-    try:
-        parked = cut_segments(scene, config.kind, steps=steps, stride=steps, parked=True)
-    except TracksError:  # there are none
-        return moving
-    thinning = math.ceil(len(parked) / (PARKED_SHARE * len(moving)))
-    return concat([moving, pick(parked, slice(None, None, thinning))])
 
 
 def _report_problems(parts: dict[str, list[Segments]], problems: dict[str, list[str]]) -> None:

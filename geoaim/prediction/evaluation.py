@@ -1,21 +1,30 @@
 """Evaluation of predictors on segments of one place, or on windows of a benchmark."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import torch
 
+from geoaim.base.errors import TracksError
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.baselines import Predictor
+from geoaim.prediction.config import Config
+from geoaim.prediction.cutting import cut_segments
+from geoaim.prediction.dataset import split_scene
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.metrics import Metric, check_futures, compute_metrics, concat
+from geoaim.prediction.metrics import Metric, check_futures, compute_metrics, concat, keep_rates
 from geoaim.prediction.neighbours import MAX_VIEWS
 from geoaim.prediction.realism import compute_realism
-from geoaim.prediction.segments import Segments, pick
+from geoaim.prediction.segments import Segments, control_present, pick
 from geoaim.prediction.windows import HISTORY_STEPS, Windows
 from geoaim.rendering.ground import Ground, move_ground
+from geoaim.rendering.prefiltering import prefilter_ground
+from geoaim.rendering.scene import Scene
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 from geoaim.tracks.lights import UNKNOWN
+
+RECORDING = "recording"  # name of `replay`, of which only rates are told
 
 
 @dataclass(frozen=True)
@@ -80,6 +89,56 @@ def evaluate(
         parts.append(metrics)
         progress("evaluate", min(start + size, len(segments)), len(segments))
     return concat(parts)
+
+
+def judge(  # noqa: PLR0913  (what is judged, on what, and how)
+    predictors: Mapping[str, Predictor],
+    scenes: Sequence[Scene],
+    model: Config,
+    config: EvalConfig,
+    *,
+    fraction: float,
+    horizon: int,
+    rules: RoadRules = NO_ROAD_RULES,
+    progress: Progress = notebook_progress,
+) -> dict[str, dict[str, Metric]]:
+    """Evaluate predictors jointly for all agents of a kind at the end of scenes.
+
+    Args:
+        predictors: predictors by name.
+        scenes: scenes; those in which no agent is there for long enough add nothing.
+        model: the configuration of the model: agent kind and resolution.
+        config: options.
+        fraction: share of each scene, at its end.
+        horizon: predicted steps.
+        rules: road rules, for infractions.
+        progress: as of `evaluate`.
+
+    Returns:
+        Metrics of each predictor.
+
+    Raises:
+        TracksError: no agent is there for long enough in any scene.
+    """
+    found: dict[str, list[dict[str, Metric]]] = {name: [] for name in predictors}
+    steps, problem = config.history + horizon, None
+    for scene in scenes:
+        _, end = split_scene(scene, fraction)
+        try:
+            segments = cut_segments(end, model.kind, steps=steps, stride=steps, joint=True)
+        except TracksError as error:
+            problem = error
+            continue
+        if model.num_anchors:  # a proposal needs all observed steps of its agent
+            segments = control_present(segments, slice(config.history))
+        ground = prefilter_ground(scene.ground, model.resolution)
+        for name, predictor in predictors.items():
+            given = segments, ground, config
+            metrics = evaluate(predictor, *given, rules=rules, progress=progress)
+            found[name].append(keep_rates(metrics) if name == RECORDING else metrics)
+    if problem is not None and not any(found.values()):
+        raise problem
+    return {name: concat(parts) for name, parts in found.items()}
 
 
 def evaluate_windows(

@@ -15,13 +15,16 @@ All other agents replay their ground truth. Agents enter and leave as recorded.
 Beyond the paper, a model may have trajectory proposals (`anchors`): at the last observed step it
 proposes `num_anchors` of them, and each sample follows one, as a further input of f_theta.
 
+A model that was trained on a place holds a network of that place (`plain`): the first samples of
+agents that drive there follow its proposals, and brake for others as the config says.
+
 Shapes: B segments, K samples, N agents, T steps, E controlled agents of all segments, F features,
 H hidden state, Z latent, A proposals, P points of a proposal.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Float
@@ -45,6 +48,8 @@ from geoaim.prediction.observation import (
     index_controlled,
     render_observation,
 )
+from geoaim.prediction.plain import PlainNetwork
+from geoaim.prediction.plans import BRAKING_AHEAD_S, Goal, Plan, approach_speed, plan_through
 from geoaim.prediction.rollouts import (
     MAX_ACTION,
     Batch,
@@ -80,6 +85,7 @@ class ITRA(nn.Module):
         super().__init__()
         self.config = config
         self.known_views: KnownViews | None = None  # of a trained model with observations
+        self.own_place: PlainNetwork | None = None  # of a model that was trained on a place
         self.motion = MOTION_MODELS[config.motion]
         context = config.feature_size + config.hidden_size + ATTRIBUTES
         anchor = 2 * config.anchor_points + 1 if config.num_anchors else 0
@@ -140,7 +146,7 @@ class ITRA(nn.Module):
         return Losses(nll, torch.stack(kl, dim=1).mean(), anchor_loss)
 
     @torch.no_grad()
-    def sample(
+    def sample(  # noqa: PLR0913  (what is sampled, and how)
         self,
         segments: Segments,
         ground: Ground,
@@ -149,6 +155,7 @@ class ITRA(nn.Module):
         samples: int,
         generator: torch.Generator,
         latent_scale: float = 1.0,
+        goals: Mapping[str, Goal] | None = None,
     ) -> Float[Tensor, "B K N T 4"]:
         """Sample joint futures of all controlled agents; all others replay.
 
@@ -163,6 +170,7 @@ class ITRA(nn.Module):
             samples: K futures to draw.
             generator: source of the noise, on the segments' device.
             latent_scale: a further factor on latents; 0: all samples are alike.
+            goals: way points and target speeds of agents, by the names in `segments.ids`.
 
         Returns:
             States x, y (m), heading (rad), speed (m/s) of all agents at all steps, the observed
@@ -171,7 +179,8 @@ class ITRA(nn.Module):
         Raises:
             ValueError: the segments do not fit the model.
         """
-        rollout = self.start(segments, ground, history=history, samples=samples)
+        given: dict[str, Any] = {"history": history, "samples": samples, "goals": goals}
+        rollout = self.start(segments, ground, **given)
         return self._roll_out(rollout, lambda now: self.draw_latent(now, generator, latent_scale))
 
     def decode_latents(
@@ -205,12 +214,19 @@ class ITRA(nn.Module):
         check_shape("latents", latents, shape)
         with torch.set_grad_enabled(gradients):
             rollout = self.start(segments, ground, history=history, samples=samples)
+            rollout = replace(rollout, plan=None)
             index = rollout.batch.controlled.segment, rollout.batch.controlled.agent
             chosen = latents.flatten(0, 1)[index]  # (E, t, Z)
             return self._roll_out(rollout, lambda now: chosen[:, now.index - history + 1])
 
     def start(
-        self, segments: Segments, ground: Ground, *, history: int, samples: int = 1
+        self,
+        segments: Segments,
+        ground: Ground,
+        *,
+        history: int,
+        samples: int = 1,
+        goals: Mapping[str, Goal] | None = None,
     ) -> Rollout:
         """Encode the observed steps of segments, for `step` to go on from.
 
@@ -219,17 +235,21 @@ class ITRA(nn.Module):
             ground: the map, as in `sample`.
             history: observed steps.
             samples: K futures of each segment, which are rows next to each other.
+            goals: way points and target speeds of agents, by the names in `segments.ids`.
 
         Returns:
             The rollout at the last observed step.
 
         Raises:
-            ValueError: the segments do not fit the model.
+            ValueError: the segments do not fit the model, or a goal's agent is not controlled.
         """
         ground = prefilter_ground(ground, self.config.resolution)
         one = index_batch(self.config, segments, ground, history)
         rollout = self._start(one, normalise_actions(self.motion, one))
-        return repeat_rollout(rollout, samples)
+        rollout = repeat_rollout(rollout, samples)
+        if self.own_place is None and not goals:
+            return rollout
+        return self._plan(rollout, segments, goals or {})
 
     def draw_latent(
         self, rollout: Rollout, generator: torch.Generator, scale: float = 1.0
@@ -290,9 +310,14 @@ class ITRA(nn.Module):
             anchors, logits = self.anchors(rollout.pose, past, rollout.features)
             rank = rollout.batch.controlled.segment % rollout.samples
             rollout = replace(rollout, anchor=select_anchor(anchors, logits, rank))
-        action = self._decode(rollout, context, latent)
+        wanted = action = self._decode(rollout, context, latent)
+        if rollout.plan is not None:
+            wanted = action = self._follow(rollout, rollout.plan, action)
         if self.config.brakes:
-            action, rollout = self._brake(rollout, action)
+            action, rollout = self._brake(rollout, wanted)
+        if rollout.plan is not None:
+            plan = rollout.plan.advance(rollout.pose, action[:, 0] < wanted[:, 0])
+            rollout = replace(rollout, plan=plan)
         return action, replace(self._remember(rollout, context, action), latent=latent)
 
     def scale_action(self, action: Float[Tensor, "E 2"]) -> Float[Tensor, "E 2"]:
@@ -373,6 +398,58 @@ class ITRA(nn.Module):
         updated = self.update_hidden(seen, rollout.hidden)
         return replace(rollout, hidden=torch.where(rollout.moving, updated, rollout.hidden))
 
+    def _plan(self, rollout: Rollout, segments: Segments, goals: Mapping[str, Goal]) -> Rollout:
+        """Give agents the paths to their goals, and others the proposals of a place's network.
+
+        Each of the first samples of a segment has a proposal of its own, for all agents.
+        """
+        controlled, samples, dt = rollout.batch.controlled, rollout.samples, segments.dt
+        row, agent = controlled.segment // samples, controlled.agent
+        rank = controlled.segment % samples
+        states, steps = rollout.pose[:, None], torch.zeros_like(rank)
+        if self.own_place is not None:
+            plans, planned = self.own_place.plan(segments, rollout.batch.history)
+            proposed = plans[row, agent, rank.clamp_max(plans.shape[2] - 1)]  # (E, t, 4)
+            states = torch.cat([states, proposed], dim=1)
+            follows = planned[row, agent] & (rank < plans.shape[2])
+            steps = torch.where(follows, proposed.shape[1], steps)
+        yields = (steps == 0) | (self.own_place is None or self.own_place.yields)
+        speeds = torch.full_like(rollout.pose[:, 3], torch.nan)
+        for name, goal in goals.items():
+            found = [
+                k
+                for k, (i, j) in enumerate(zip(row.tolist(), agent.tolist(), strict=True))
+                if segments.ids and j < len(segments.ids[i]) and segments.ids[i][j] == name
+            ]
+            if not found:
+                raise ValueError(f"a goal is of agent {name}, which the model does not control")
+            speeds[found] = torch.nan if goal.speed is None else goal.speed
+            steps[found], yields[found] = 0, True
+            for k in found if goal.points else ():
+                path = plan_through(rollout.pose[k], goal, dt)
+                more = len(path) - states.shape[1]
+                if more > 0:
+                    states = torch.cat([states, states[:, -1:].expand(-1, more, -1)], dim=1)
+                states = states.clone()
+                states[k, : len(path)] = path
+                steps[k] = len(path) - 1
+        return replace(
+            rollout, plan=Plan(states, steps, yields, torch.zeros_like(rank)), speeds=speeds
+        )
+
+    def _follow(
+        self, rollout: Rollout, plan: Plan, action: Float[Tensor, "E 2"]
+    ) -> Float[Tensor, "E 2"]:
+        """Replace the actions of agents that have a plan."""
+        batch, bicycle = rollout.batch, self.config.motion == "bicycle"
+        given = plan.follow(rollout.pose, batch.sizes, batch.segments.dt, bicycle=bicycle)
+        given = (given / given.new_tensor(self.motion.scale)).clamp(-MAX_ACTION, MAX_ACTION)
+        if rollout.speeds is not None:
+            steered = approach_speed(rollout.pose, rollout.speeds) / self.motion.scale[0]
+            steered = torch.where(rollout.speeds.isnan(), action[:, 0], steered)
+            action = torch.stack([steered, action[:, 1]], dim=1)
+        return torch.where(plan.goes_on[:, None], given, action)
+
     def _brake(
         self, rollout: Rollout, action: Float[Tensor, "E 2"]
     ) -> tuple[Float[Tensor, "E 2"], Rollout]:
@@ -382,6 +459,9 @@ class ITRA(nn.Module):
         curvature = compute_curvature(wanted[:, 1], batch.sizes[:, 0])
         if rollout.curvature is not None:  # actions jitter
             curvature = torch.lerp(rollout.curvature, curvature, CURVATURE_SHARE)
+        if (plan := rollout.plan) is not None:
+            arc = plan.aim(pose, BRAKING_AHEAD_S, batch.segments.dt)
+            curvature = torch.where(plan.goes_on, arc, curvature)
         others = gather_others(rollout)
         turns = torch.zeros_like(rollout.states[..., 0])
         turns = turns.index_put(batch.controlled.index, curvature)[batch.controlled.segment]
@@ -389,6 +469,8 @@ class ITRA(nn.Module):
             pose, batch.sizes, curvature, *others[:2], turns, others[2], batch.segments.dt
         )
         lower = torch.minimum(action[:, 0], most / self.motion.scale[0])
+        if plan is not None:
+            lower = torch.where(plan.goes_on & ~plan.yields, action[:, 0], lower)
         limited = torch.stack([lower, action[:, 1]], dim=1)
         return limited, replace(rollout, curvature=curvature)
 

@@ -1,8 +1,8 @@
-"""The plain network: what an agent's own past tells of its future, without map and others.
+"""Networks that are trained on one place in seconds: from an agent's own past to its futures.
 
-It proposes controls from the observed states of one agent, by which its motion model moves it. It
-is trained in seconds on the recordings of a place, and stands there as a baseline (`sample`). A
-model that was trained on a place holds it, and some of its samples follow its proposals.
+The plain network knows an agent's past and nothing else, neither map nor others nor the place: it
+is a baseline (`sample`). A model that is trained on a place holds one that also knows where in the
+place an agent is, and its first samples follow what that network proposes.
 """
 
 import torch
@@ -10,21 +10,23 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from geoaim.prediction.braking import compute_curvature
 from geoaim.prediction.config import Config
 from geoaim.prediction.networks import build_mlp
-from geoaim.prediction.rollouts import MAX_ACTION
-from geoaim.prediction.segments import Segments
+from geoaim.prediction.segments import Segments, mark_entries
 from geoaim.rendering.ground import Ground
-from geoaim.simulation.kinematics import MOTION_MODELS, agent_from_world, wrap_angle
+from geoaim.simulation.kinematics import agent_from_world, world_from_agent, wrap_angle
 
 PROPOSALS = 6
 WIDTH = 128
-KNOT_S = 0.5  # between controls, which are interpolated
-POSITION_SCALE_M, SPEED_SCALE = 10.0, 10.0
+KNOT_S = 0.5  # between velocities, which are interpolated
+SPEED_SCALE = 10.0  # m/s
 STEPS, BATCH_SIZE, LEARNING_RATE = 400, 128, 2e-3
-PAST_NOISE_M = 0.03  # on observed positions in training
+PAST_NOISE_M, PLACE_NOISE_M = 0.03, 2.0  # on positions in training: of the past, and in the place
 EVEN_SHARE = 0.05  # of the mean error over all proposals in the loss, so that none stays unused
+CELL_M = 10.0  # side of the cells of a place in which a network knows traffic
+WAVES = 4  # frequencies of a position's encoding
+MIN_SPEED_MPS = 0.5  # slower agents keep their heading
+STANDING_MPS = 0.3  # agents that never were faster in the observed steps stand
 
 
 class PlainNetwork(nn.Module):
@@ -34,20 +36,34 @@ class PlainNetwork(nn.Module):
         config: motion, dt and kind of the agents.
         history: observed steps that it reads; missing ones are continued backwards.
         horizon: steps that it proposes.
+        yields: whether those who follow it brake for others, if the model does.
+        cells: (M, 2) numbers of the cells of a place in which it knows traffic, for a network that
+            knows where an agent is; None: it does not.
     """
 
-    def __init__(self, config: Config, history: int, horizon: int) -> None:
+    cells: Tensor | None
+
+    def __init__(
+        self,
+        config: Config,
+        history: int,
+        horizon: int,
+        *,
+        yields: bool = True,
+        cells: Float[Tensor, "M 2"] | None = None,
+    ) -> None:
         super().__init__()
-        self.dt, self.bends = config.dt, config.motion == "bicycle"
-        self.scale = MOTION_MODELS[config.motion].scale
-        self.history, self.horizon = history, horizon
-        self.knots = max(2, round(horizon * config.dt / KNOT_S))
-        self.propose = build_mlp(5 * history + 3, WIDTH, PROPOSALS * self.knots * 2)
-        self.score = build_mlp(5 * history + 3, WIDTH // 2, PROPOSALS)
+        self.yields = yields
+        self.dt, self.history, self.horizon = config.dt, history, horizon
+        self.knots = 1 + max(1, round(horizon * config.dt / KNOT_S))
+        self.register_buffer("cells", cells)
+        inputs = 5 * history + 3 + (0 if cells is None else 4 + 4 * WAVES)
+        self.propose = build_mlp(inputs, WIDTH, PROPOSALS * self.knots * 2)
+        self.score = build_mlp(inputs, WIDTH // 2, PROPOSALS)
 
     def forward(
         self, past: Float[Tensor, "E t 4"], there: Bool[Tensor, "E t"], sizes: Float[Tensor, "E 2"]
-    ) -> tuple[Float[Tensor, "E P T 4"], Float[Tensor, "E P T 2"], Float[Tensor, "E P"]]:
+    ) -> tuple[Float[Tensor, "E P T 4"], Float[Tensor, "E P"]]:
         """Propose futures.
 
         Args:
@@ -56,36 +72,39 @@ class PlainNetwork(nn.Module):
             sizes: their lengths and widths, metres.
 
         Returns:
-            States at the T steps after the last observed one, by P proposals; the actions that lead
-            there, not normalised; and a logit of each proposal.
+            States at the T steps after the last observed one, by P proposals; and a logit of each.
         """
-        inputs = self._encode(past, there, sizes)
-        knots = self.propose(inputs).view(len(past), PROPOSALS, self.knots, 2).transpose(2, 3)
-        actions = F.interpolate(
-            knots.flatten(0, 1), self.horizon, mode="linear", align_corners=True
-        ).view(len(past), PROPOSALS, 2, self.horizon)
-        actions = (MAX_ACTION * torch.tanh(actions / MAX_ACTION)).transpose(2, 3)
-        actions = actions * actions.new_tensor(self.scale)
-        return self._integrate(past[:, -1], actions, sizes), actions, self.score(inputs)
+        now, inputs = past[:, -1], self._encode(past, there, sizes)
+        knots = self.propose(inputs).view(len(past) * PROPOSALS, self.knots, 2).transpose(1, 2)
+        change = F.interpolate(knots, self.horizon, mode="linear", align_corners=True)
+        velocity = change.view(len(past), PROPOSALS, 2, self.horizon).transpose(2, 3)
+        ahead = torch.zeros_like(velocity)
+        ahead[..., 0] = now[:, 3, None, None]
+        velocity = velocity + ahead  # in the agent's frame
+        position = world_from_agent(now[:, None, None], velocity.cumsum(2) * self.dt)
+        motion = self._find_headings(velocity, now)
+        return torch.cat([position, motion], dim=-1), self.score(inputs)
 
-    def _integrate(
-        self, start: Float[Tensor, "E 4"], actions: Float[Tensor, "E P T 2"], sizes: Tensor
-    ) -> Float[Tensor, "E P T 4"]:
-        """Take all steps of the bicycle or the unicycle at once: sums of arcs, as of `motion`."""
-        speed = start[:, None, None, 3] + actions[..., 0].cumsum(2) * self.dt
-        before = torch.cat([start[:, None, None, 3].expand_as(speed[..., :1]), speed[..., :-1]], 2)
-        distance = (before + speed) / 2 * self.dt
-        if self.bends:
-            slip = torch.atan(torch.tan(actions[..., 1]) / 2)
-            turn = compute_curvature(actions[..., 1], sizes[:, None, None, 0]) * distance
-        else:
-            slip, turn = torch.zeros_like(speed), actions[..., 1] * self.dt
-        heading = start[:, None, None, 2] + turn.cumsum(2)
-        course = heading - turn / 2 + slip
-        chord = distance * torch.sinc(turn / (2 * torch.pi))
-        x = start[:, None, None, 0] + (chord * course.cos()).cumsum(2)
-        y = start[:, None, None, 1] + (chord * course.sin()).cumsum(2)
-        return torch.stack([x, y, wrap_angle(heading), speed], dim=-1)
+    def knows(self, now: Float[Tensor, "E 4"]) -> Bool[Tensor, "E"]:
+        """Mark agents that are where the network knows traffic."""
+        if self.cells is None:
+            return torch.ones_like(now[:, 0], dtype=torch.bool)
+        cell = torch.floor(now[:, None, :2] / CELL_M)
+        return (cell == self.cells).all(dim=2).any(dim=1)
+
+    def _find_headings(
+        self, velocity: Float[Tensor, "E P T 2"], now: Float[Tensor, "E 4"]
+    ) -> Float[Tensor, "E P T 2"]:
+        """Headings and speeds of motions; who is slow keeps the heading, who reverses turns not."""
+        forward = torch.where(now[:, 3] < 0, -1.0, 1.0)[:, None, None]
+        speed = velocity.norm(dim=-1) * forward
+        turn = torch.atan2(velocity[..., 1] * forward, velocity[..., 0] * forward)
+        turns, last = [], torch.zeros_like(turn[..., 0])
+        for step in range(self.horizon):
+            last = torch.where(speed[..., step].abs() > MIN_SPEED_MPS, turn[..., step], last)
+            turns.append(last)
+        heading = wrap_angle(now[:, 2, None, None] + torch.stack(turns, dim=-1))
+        return torch.stack([heading, speed], dim=-1)
 
     def _encode(self, past: Tensor, there: Tensor, sizes: Tensor) -> Float[Tensor, "E _"]:
         """Observed states in the frame of the last one; missing ones are continued backwards."""
@@ -102,7 +121,49 @@ class PlainNetwork(nn.Module):
         speed = torch.where(there, past[..., 3], now[:, 3:])
         columns = [position - straight, turn[..., None], speed[..., None] - now[:, None, 3:]]
         numbers = torch.cat([*columns, there[..., None].to(past)], dim=2).flatten(1)
-        return torch.cat([numbers, now[:, 3:] / SPEED_SCALE, sizes / 5], dim=1)
+        encoded = [numbers, now[:, 3:] / SPEED_SCALE, sizes / 5]
+        if self.cells is not None:
+            encoded.append(self._encode_place(now))
+        return torch.cat(encoded, dim=1)
+
+    def _encode_place(self, now: Float[Tensor, "E 4"]) -> Float[Tensor, "E _"]:
+        """Where in the place agents are, and where they head."""
+        assert self.cells is not None
+        middle, spread = self.cells.mean(dim=0), self.cells.std(dim=0).max().clamp_min(1.0)
+        offset = now[:, :2]
+        if self.training:
+            offset = offset + PLACE_NOISE_M * torch.randn_like(offset)
+        place = (offset / CELL_M - middle) / spread
+        waves = [place * 2**k for k in range(WAVES)]
+        angles = torch.cat([now[:, 2:3], *waves], dim=1)
+        return torch.cat([place, angles.sin(), angles.cos()], dim=1)
+
+    @torch.no_grad()
+    def plan(self, segments: Segments, history: int) -> tuple[Tensor, Bool[Tensor, "B N"]]:
+        """Propose futures of the controlled agents that are there, likeliest first.
+
+        Args:
+            segments: segments.
+            history: observed steps.
+
+        Returns:
+            (B, N, P, T, 4) states, and for which agents: those that drive where the network knows
+            traffic.
+        """
+        past, there = segments.states[:, :, :history], segments.present[:, :, :history]
+        drives = (there & (past[..., 3].abs() > STANDING_MPS)).any(dim=2)
+        planned = segments.controlled & there[:, :, -1] & drives
+        row, agent = planned.nonzero().unbind(1)
+        known = self.knows(past[row, agent, -1])
+        planned[row, agent] = known
+        row, agent = row[known], agent[known]
+        shape = (*planned.shape, PROPOSALS, self.horizon, 4)
+        plans = torch.zeros(shape, device=past.device)
+        if len(row):
+            states, logits = self(past[row, agent], there[row, agent], segments.sizes[row, agent])
+            order = logits.argsort(dim=1, descending=True)
+            plans[row, agent] = states[torch.arange(len(row))[:, None], order]
+        return plans, planned
 
     @torch.no_grad()
     def sample(
@@ -114,33 +175,27 @@ class PlainNetwork(nn.Module):
         samples: int,
         generator: torch.Generator,
     ) -> Float[Tensor, "B K N T 4"]:
-        """Predict as a `Predictor`: each agent's likeliest proposals, in an order of its own.
+        """Predict as a `Predictor`; who enters later or stands goes straight on.
 
         Samples are joint futures of agents that do not see each other, so that each agent's
-        proposals are shuffled; those who enter later go straight on.
+        proposals are shuffled.
         """
-        path = segments.states[:, None].repeat(1, samples, 1, 1, 1)
-        row, agent = (segments.controlled & segments.present[:, :, history - 1]).nonzero().unbind(1)
-        steps = segments.steps - history
-        if len(row):
-            past = segments.states[row, agent, :history], segments.present[row, agent, :history]
-            states, _, logits = self(*past, segments.sizes[row, agent])
-            order = logits.argsort(dim=1, descending=True)[:, : max(1, min(samples, PROPOSALS))]
-            shuffled = torch.rand(len(row), samples, generator=generator, device=row.device)
-            chosen = order.gather(1, shuffled.argsort(dim=1) % order.shape[1])  # (E, K)
-            futures = states[torch.arange(len(row))[:, None], chosen]  # (E, K, T, 4)
-            futures = _extend(futures, steps, self.dt)
-            path[row[:, None], torch.arange(samples), agent[:, None], history:] = futures
-        entering = segments.controlled & ~segments.present[:, :, history - 1]
-        if entering.any():
-            _go_straight(path, segments, entering, history)
+        plans, planned = self.plan(segments, history)
+        straight = _go_straight(segments, history)
+        row, agent = planned.nonzero().unbind(1)
+        path = straight[:, None].repeat(1, samples, 1, 1, 1)
+        drawn = torch.rand(len(row), samples, generator=generator, device=row.device)
+        chosen = drawn.argsort(dim=1) % max(1, min(samples, PROPOSALS))  # (E, K)
+        futures = plans[row[:, None], agent[:, None], chosen]  # (E, K, T, 4)
+        futures = extend(futures, segments.steps - history, self.dt)
+        path[row[:, None], torch.arange(samples), agent[:, None], history:] = futures
         return path
 
 
 def train_plain(
-    segments: Segments, config: Config, *, history: int, steps: int = STEPS, seed: int = 0
+    segments: Segments, config: Config, *, history: int, place: bool = False, steps: int = STEPS
 ) -> PlainNetwork:
-    """Train a plain network on segments of single agents, in seconds on a CPU.
+    """Train a network on segments of single agents, in seconds on a CPU.
 
     Only the best of its proposals is trained in each case, and a little all of them.
 
@@ -148,8 +203,8 @@ def train_plain(
         segments: segments with one controlled agent each, which is there at all steps.
         config: motion and dt of the agents.
         history: observed steps.
+        place: whether it knows where in the place an agent is.
         steps: steps of the optimiser.
-        seed: seed of weights and batches.
 
     Returns:
         The network, in evaluation mode.
@@ -157,10 +212,12 @@ def train_plain(
     agent = segments.controlled.float().argmax(dim=1)
     rows = torch.arange(len(segments), device=agent.device)
     states, sizes = segments.states[rows, agent], segments.sizes[rows, agent]
-    generator = torch.Generator().manual_seed(seed)
+    cells = torch.floor(states[..., :2].flatten(0, 1) / CELL_M).unique(dim=0) if place else None
+    generator = torch.Generator().manual_seed(0)
     with torch.random.fork_rng(devices=[]), torch.enable_grad():
-        torch.manual_seed(seed)
-        network = PlainNetwork(config, history, segments.steps - history).to(states.device)
+        torch.manual_seed(0)
+        network = PlainNetwork(config, history, segments.steps - history, cells=cells)
+        network.to(states.device)
         optimiser = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=0.01)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
             optimiser, LEARNING_RATE, total_steps=steps + 1
@@ -172,9 +229,8 @@ def train_plain(
             noise = torch.randn((*past.shape[:2], 2), generator=generator).to(past)
             past[:, :-1, :2] += PAST_NOISE_M * noise[:, :-1]
             there = torch.arange(history) >= (history - 1 - seen.long()[:, None])
-            loss = _compute_loss(
-                network, past, there.to(past.device), sizes[index], states[index, history:]
-            )
+            truth = states[index, history:]
+            loss = _compute_loss(network(past, there.to(past.device), sizes[index]), truth)
             optimiser.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -184,10 +240,10 @@ def train_plain(
 
 
 def _compute_loss(
-    network: PlainNetwork, past: Tensor, there: Tensor, sizes: Tensor, truth: Tensor
+    proposed: tuple[Float[Tensor, "E P T 4"], Float[Tensor, "E P"]], truth: Float[Tensor, "E T 4"]
 ) -> Float[Tensor, ""]:
     """Mean distance of the best proposal, metres, and the cross entropy of the logits."""
-    states, _, logits = network(past, there, sizes)
+    states, logits = proposed
     offset = states[..., :2] - truth[:, None, :, :2]
     errors = (offset.square().sum(dim=-1) + 1e-4).sqrt().mean(dim=2)  # (E, P)
     best = errors.min(dim=1)
@@ -195,26 +251,24 @@ def _compute_loss(
     return best.values.mean() + even + F.cross_entropy(logits, best.indices) / 10
 
 
-def _extend(futures: Float[Tensor, "E K t 4"], steps: int, dt: float) -> Float[Tensor, "E K T 4"]:
+def extend(futures: Float[Tensor, "*_ t 4"], steps: int, dt: float) -> Float[Tensor, "*_ T 4"]:
     """Cut futures, or go straight on beyond their ends."""
-    more = steps - futures.shape[2]
+    more = steps - futures.shape[-2]
     if more <= 0:
-        return futures[:, :, :steps]
-    last = futures[:, :, -1:]
+        return futures[..., :steps, :]
+    last = futures[..., -1:, :]
     way = last[..., 3] * dt * torch.arange(1, more + 1, device=last.device)
     x, y = last[..., 0] + way * last[..., 2].cos(), last[..., 1] + way * last[..., 2].sin()
     rest = torch.stack([x, y, last[..., 2].expand_as(x), last[..., 3].expand_as(x)], dim=-1)
-    return torch.cat([futures, rest], dim=2)
+    return torch.cat([futures, rest], dim=-2)
 
 
-def _go_straight(
-    path: Float[Tensor, "B K N T 4"], segments: Segments, entering: Bool[Tensor, "B N"], start: int
-) -> None:
-    """Let agents go straight on from where they enter, in place."""
-    for row, agent in entering.nonzero().tolist():
-        there = segments.present[row, agent, start:].nonzero()[:, 0]
-        if len(there):
-            first = start + int(there[0])
-            state = segments.states[row, agent, first].expand(1, 1, 1, 4)
-            future = _extend(state, segments.steps - first, segments.dt)
-            path[row, :, agent, first:] = future[0]
+def _go_straight(segments: Segments, history: int) -> Float[Tensor, "B N T 4"]:
+    """Let controlled agents go straight on from the last observed step, or where they enter."""
+    starts = mark_entries(segments.present, history)  # (B, N, t)
+    path = list(segments.states.unbind(2))
+    for step in range(history, segments.steps):
+        onward = extend(path[step - 1][..., None, :], 2, segments.dt)[..., 1, :]
+        recorded = starts[:, :, step - history] | ~segments.controlled
+        path[step] = torch.where(recorded[..., None], segments.states[:, :, step], onward)
+    return torch.stack(path, dim=2)

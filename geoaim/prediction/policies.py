@@ -1,12 +1,15 @@
 """ITRA as a policy of the simulator, so that traffic reacts to somebody's planner."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from geoaim.prediction.itra import ITRA
+from geoaim.prediction.plans import Goal
 from geoaim.prediction.segments import Segments, make_segment_scenario
 from geoaim.rendering.ground import Ground
 from geoaim.simulation.simulator import Scenario
@@ -37,6 +40,7 @@ class ITRAPolicy:
         history: observed steps, as given to `rollout`.
         samples: K simulations of each segment, which are rows next to each other.
         generator: source of the noise; None: latents are the prior's mean.
+        goals: way points and target speeds of agents, by the names in `segments.ids`.
 
     Attributes:
         scenario: the scenario to roll out, B K rows.
@@ -46,7 +50,7 @@ class ITRAPolicy:
             do not fit it.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  (what is driven, and how)
         self,
         model: ITRA,
         segments: Segments,
@@ -55,6 +59,7 @@ class ITRAPolicy:
         history: int,
         samples: int = 1,
         generator: torch.Generator | None = None,
+        goals: Mapping[str, Goal] | None = None,
     ) -> None:
         if model.config.motion != MOTION[model.config.kind]:
             raise ValueError(
@@ -63,7 +68,8 @@ class ITRAPolicy:
             )
         self.model, self.generator = model, generator
         with torch.no_grad():
-            self._start = model.start(segments, ground, history=history, samples=samples)
+            given: dict[str, Any] = {"history": history, "samples": samples, "goals": goals}
+            self._start = model.start(segments, ground, **given)
         self._rollout = self._start
         self.scenario = make_segment_scenario(self._start.batch.segments)
 

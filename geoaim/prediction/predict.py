@@ -1,5 +1,8 @@
 """Predict the future of a scene."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -12,6 +15,7 @@ from geoaim.prediction.cutting import cut_future
 from geoaim.prediction.familiarity import measure_strangeness
 from geoaim.prediction.futures import Futures
 from geoaim.prediction.itra import ITRA
+from geoaim.prediction.plans import Goal
 from geoaim.prediction.rollouts import DT_TOLERANCE_S
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.rendering.scene import Scene
@@ -19,13 +23,14 @@ from geoaim.rendering.scene import Scene
 MAX_STRANGE_SHARE = 0.5  # of the agents whose views are strange; with more, `predict` warns
 
 
-def predict(
+def predict(  # noqa: PLR0913  (what is predicted, and how)
     model: ITRA,
     scene: Scene,
     *,
     samples: int = SAMPLES,
     horizon: int = 40,
     start: int | None = None,
+    goals: Mapping[str, Goal] | None = None,
     generator: torch.Generator,
 ) -> Futures:
     """Sample joint futures of all agents of the model's group.
@@ -36,6 +41,8 @@ def predict(
         samples: K futures to draw.
         horizon: T steps to predict; a model with proposals takes only its config's horizon.
         start: index of the last observed step; None: the scene's last step.
+        goals: way points and target speeds of agents, by their names; after its way points an agent
+            goes on as the model has it. It brakes for others on the way, if the model does.
         generator: source of the noise, on the scene's device.
 
     Returns:
@@ -47,8 +54,8 @@ def predict(
     Raises:
         TracksError: no agent of the group is present at that step.
         ValueError: the scene's dt is not the model's, there is no such step, a model with
-            proposals needs a longer history or another horizon, or the futures need too much
-            memory.
+            proposals needs a longer history or another horizon, a goal's agent is not predicted,
+            or the futures need too much memory.
     """
     config, total = model.config, len(scene.times)
     start = total - 1 if start is None else start
@@ -65,9 +72,8 @@ def predict(
     segment = cut_future(scene, config.kind, config.dt, steps=steps, start=start)
     ground = prefilter_ground(scene.ground, config.resolution)
     _warn_of_strange_views(measure_strangeness(model, segment, ground, step=history - 1))
-    futures = model.sample(segment, ground, history=history, samples=samples, generator=generator)[
-        0, :, :, history:
-    ]  # (K, N, T, 4)
+    given: dict[str, Any] = {"history": history, "samples": samples, "goals": goals}
+    futures = model.sample(segment, ground, generator=generator, **given)[0, :, :, history:]
     present = segment.present[0, :, history:, None]
     states = torch.where(present, futures, torch.nan)
     return Futures(states, scene, start, config.dt)

@@ -9,6 +9,7 @@ from torch import Tensor
 from geoaim.prediction.anchors import ANCHOR_SCALE_M
 from geoaim.prediction.config import Config
 from geoaim.prediction.observation import Controlled, index_controlled
+from geoaim.prediction.plans import Plan
 from geoaim.prediction.segments import Segments, mark_entries, repeat
 from geoaim.rendering.ground import Ground
 from geoaim.simulation.input_checks import check_shape
@@ -75,6 +76,8 @@ class Rollout:
         samples: rows of each segment, next to each other.
         latent: (E, Z) latents of the last step.
         curvature: (E,) of the arcs on which agents drive, 1/m, of a model that brakes for others.
+        plan: paths that agents follow, of a model that was trained on a place or that is steered.
+        speeds: (E,) target speeds of agents that are steered, m/s; NaN: it has none.
     """
 
     batch: Batch
@@ -86,6 +89,8 @@ class Rollout:
     samples: int = 1
     latent: Float[Tensor, "E Z"] | None = None
     curvature: Float[Tensor, "E"] | None = None
+    plan: Plan | None = None
+    speeds: Float[Tensor, "E"] | None = None
 
     @property
     def pose(self) -> Float[Tensor, "E 4"]:

@@ -68,6 +68,13 @@ class Segments:
     def __len__(self) -> int:
         return len(self.states)
 
+    def __getitem__(self, index: int) -> dict[str, Tensor]:
+        """The tensors of one segment by name, as `torch.utils.data.DataLoader` collates them.
+
+        `SegmentItems` adds the agent's frame and its view; `pick` selects several segments.
+        """
+        return {name: getattr(self, name)[index] for name in TENSORS}
+
     @property
     def agents(self) -> int:
         """N, the number of agents of each segment, with its padding."""

@@ -24,11 +24,12 @@ from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.batches import compute_top_k, draw_batch, join_processes, share_weights
 from geoaim.prediction.bound import Losses
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
-from geoaim.prediction.config import Config, TrainConfig
+from geoaim.prediction.config import MAX_HISTORY_STEPS, Config, TrainConfig
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.familiarity import learn_known_views
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import compute_ade
+from geoaim.prediction.plain import train_plain
 from geoaim.prediction.segments import Segments, move_to, pick
 from geoaim.rendering.ground import Ground
 
@@ -98,7 +99,9 @@ def train(
         join_processes(dataset.ground.image.device) as process,
         nullcontext() if process.rank else lock_folder(folder),
     ):
-        parts = _make_parts(copy.deepcopy(model).to(process.device).train(), config)
+        started = copy.deepcopy(model).to(process.device).train()
+        started.own_place = None
+        parts = _make_parts(started, config)
         log, best = _resume(path, parts, identity)
         ground = dataset.ground.to(process.device)
         alone = process.world_size == 1
@@ -137,6 +140,35 @@ def train(
                 write_model(parts.model, written[0])
                 _write_log(log, written[1])  # again: it is missing after an unlucky interruption
     return parts.model.eval()
+
+
+def learn_place(model: ITRA, dataset: Dataset, *, history: int = MAX_HISTORY_STEPS) -> ITRA:
+    """Give a model a network of one place, which is trained in seconds.
+
+    minADE in validation decides whether it is kept, and whether those who follow it brake for
+    others where the model does. Models with trajectory proposals, and of several places, get none.
+
+    Args:
+        model: a trained model.
+        dataset: training and validation segments of a place.
+        history: observed steps.
+
+    Returns:
+        The model with the network, or as it is.
+    """
+    train, val, ground = dataset.train, dataset.val, dataset.ground
+    if model.config.num_anchors or len(ground.regions) > 1 or len(train.worlds) > 1:
+        return model
+    learned = copy.deepcopy(model)
+    network = train_plain(train, model.config, history=history, place=True)
+    learned.own_place = network
+    errors = {}
+    for yields in (True, False) if model.config.brakes else (True,):
+        network.yields = yields
+        errors[yields] = _measure_min_ade(learned, val, ground, history, 0)
+    network.yields = min(errors, key=lambda yields: errors[yields])
+    before = _measure_min_ade(model, val, ground, history, 0)
+    return learned if errors[network.yields] < before else model
 
 
 def find_best_step(log: Sequence[Mapping[str, float]]) -> int:
@@ -191,14 +223,28 @@ def _validate(
     model: ITRA, val: Segments, ground: Ground, config: TrainConfig
 ) -> tuple[float, float]:
     """Compute the loss, with the final weight of its KL term, and minADE on validation segments."""
-    stride = -(-len(val) // MAX_VAL_SEGMENTS)
-    segments = move_to(pick(val, slice(None, None, stride)), ground.image.device)
-    generator = torch.Generator(ground.image.device).manual_seed(config.seed)
     history = config.history[1]
+    segments = _pick_some(val, ground)
+    error = _measure_min_ade(model, val, ground, history, config.seed)
+    generator = torch.Generator(ground.image.device).manual_seed(config.seed)
+    loss = _sum_losses(model(segments, ground, history, generator), config.kl_weight)
+    return float(loss), error
+
+
+def _pick_some(val: Segments, ground: Ground) -> Segments:
+    """The segments that are validated, on the ground's device."""
+    stride = -(-len(val) // MAX_VAL_SEGMENTS)
+    return move_to(pick(val, slice(None, None, stride)), ground.image.device)
+
+
+@torch.no_grad()
+def _measure_min_ade(model: ITRA, val: Segments, ground: Ground, history: int, seed: int) -> float:
+    """minADE on validation segments."""
+    segments = _pick_some(val, ground)
+    generator = torch.Generator(ground.image.device).manual_seed(seed)
     futures = model.sample(segments, ground, history=history, samples=SAMPLES, generator=generator)
     errors = compute_ade(futures, segments, history).amin(dim=1)
-    loss = _sum_losses(model(segments, ground, history, generator), config.kl_weight)
-    return float(loss), float(errors[segments.controlled].mean())
+    return float(errors[segments.controlled].mean())
 
 
 def _copy_weights(model: ITRA) -> Weights:

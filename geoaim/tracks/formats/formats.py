@@ -14,7 +14,7 @@ from geoaim.base.limits import check_regular, name_file
 from geoaim.base.world import World
 from geoaim.tracks import formats as package
 from geoaim.tracks.files import read_plain_tracks
-from geoaim.tracks.formats.plausibility import check_plausibility
+from geoaim.tracks.formats.plausibility import check_plausibility, derive_contradicted_motion
 from geoaim.tracks.formats.shared import TrackFormat, check_resolution, has_columns
 from geoaim.tracks.tracks import Tracks
 
@@ -49,7 +49,9 @@ def read_tracks(
 ) -> Tracks:
     """Read tracks from a file in any format of `list_formats`, and warn of implausible ones.
 
-    The readers of `geoaim.tracks.formats`, one for each format, do not check plausibility.
+    Where headings or speeds of most agents contradict their positions and times, they are taken
+    from the positions, and a warning says so. The readers of `geoaim.tracks.formats`, one for each
+    format, keep what the file has, and do not check plausibility.
 
     Args:
         path: a file in the plain format of `write_tracks` or in that of a public dataset, or the
@@ -92,6 +94,7 @@ def read_tracks(
         )
     with name_file(path):
         tracks = track_format.read(path, **given)
+    tracks = derive_contradicted_motion(path, tracks)
     check_plausibility(path, tracks)
     return tracks
 

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from geoaim.base.errors import TracksError, warn
 from geoaim.base.geometry import wrap_angle
-from geoaim.tracks.formats.motion import estimate_velocity
+from geoaim.tracks.formats.motion import derive_motion, derive_speeds, estimate_velocity
 from geoaim.tracks.tracks import Tracks
 
 # By type: greatest length and width in metres, and speed in m/s.
@@ -30,6 +30,8 @@ HALF_WINDOW_S = 0.25  # half the time over which positions are differenced
 MIN_MOVING_SPEED = 1.0  # m/s; slower motion has too noisy a direction
 MAX_HEADING_ERROR = np.radians(60.0)
 MAX_SPEED_ERROR = (2.0, 0.5)  # m/s, and share of the greater of stated and measured speed
+MAX_SPEED_SHARE = 0.2  # by which an agent's speeds may differ from its motion
+MOST = 0.5  # share of the agents whose columns contradict their motion, so that none are used
 NOISE = 0.05  # share of states that may be wrong without a warning
 NEARLY_ALL = 0.9  # share with which a file is refused
 
@@ -64,6 +66,46 @@ def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
         found.append(text)
     if found:
         warn(f"{Path(path)}: {'; '.join(found)}. They are kept as they are")
+
+
+def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> Tracks:
+    """Replace headings and speeds by those of the positions where most agents' contradict them.
+
+    Args:
+        path: the file that a warning names.
+        tracks: the tracks as the file has them.
+
+    Returns:
+        The tracks; speeds alone are replaced where headings are right, and nothing is where only
+        some agents contradict their positions, as one that reverses.
+    """
+    velocity = estimate_velocity(tracks, HALF_WINDOW_S, HALF_WINDOW_S)
+    known = tracks.present & np.isfinite(velocity[..., 0])
+    velocity = np.nan_to_num(velocity)
+    measured, signed = np.hypot(*velocity.T).T, np.nan_to_num(tracks.states[..., 3])
+    moving = known & (measured > MIN_MOVING_SPEED)
+    judged = moving.any(axis=1)
+    if not judged.any():
+        return tracks
+    totals = [np.where(moving, one, 0.0).sum(axis=1)[judged] for one in (np.abs(signed), measured)]
+    ratio = totals[0] / totals[1]
+    direction = np.arctan2(velocity[..., 1], velocity[..., 0]) + np.pi * (signed < 0)
+    off = np.abs(wrap_angle(np.where(moving, direction - tracks.states[..., 2], 0.0)))
+    turned = (off > MAX_HEADING_ERROR).sum(axis=1)[judged] > moving.sum(axis=1)[judged] / 2
+    wrong = np.abs(ratio - 1) > MAX_SPEED_SHARE
+    wrong_headings, wrong_speeds = (one.mean() > MOST for one in (turned, wrong))
+    if not (wrong_headings or wrong_speeds):
+        return tracks
+    names, found = "Headings and speeds are", f"{turned.sum()} agents do not move where they head"
+    if not wrong_headings:
+        names = "Speeds are"
+        found = f"speeds are {np.median(ratio):.2f} times those of the positions and times"
+    warn(
+        f"{Path(path)}: {found}. {names} taken from the positions; to keep the file's, use its "
+        "reader in geoaim.tracks.formats"
+    )
+    derive = derive_motion if wrong_headings else derive_speeds
+    return derive(tracks, half_window=HALF_WINDOW_S)
 
 
 def _check_sizes(tracks: Tracks) -> list[_Check]:

@@ -9,7 +9,7 @@ import pytest
 from geoaim.base.errors import GeoaimWarning, TracksError
 from geoaim.tracks.files import read_plain_tracks
 from geoaim.tracks.formats import read_tracks
-from geoaim.tracks.formats.plausibility import check_plausibility
+from geoaim.tracks.formats.plausibility import check_plausibility, derive_contradicted_motion
 from tests.tracks.formats import test_levelx, test_readers
 
 SAMPLE = read_plain_tracks(Path(__file__).parents[3] / "samples/tracks.csv")  # 64 agents
@@ -77,6 +77,25 @@ def test_files_whose_agents_are_nearly_all_absurd_are_refused(problem):
     change, how = CASES[problem]
     with pytest.raises(TracksError, match=rf"a\.csv: .*{problem}"):
         check_plausibility("a.csv", change(np.arange(64), how))
+
+
+@pytest.mark.parametrize(
+    ("how", "names", "columns"),
+    [(scale_speed, "Speeds are", [3]), (reverse, "Headings and speeds are", [2, 3])],
+)
+def test_columns_that_contradict_the_motion_are_not_used(how, names, columns):
+    with pytest.warns(GeoaimWarning, match=rf"a\.csv: .*{names} taken from the positions"):
+        tracks = derive_contradicted_motion("a.csv", change_states(CARS, how))
+    drives = np.abs(SAMPLE.states[CARS, :, 3]) > 3
+    for column in columns:
+        error = np.abs(tracks.states[CARS, :, column] - SAMPLE.states[CARS, :, column])[drives]
+        assert np.nanmedian(np.minimum(error, 2 * np.pi - error)) < 0.1
+    assert np.isnan(tracks.observed[CARS[0], np.flatnonzero(tracks.present[CARS[0]])[0], 3])
+
+
+def test_an_agent_that_reverses_and_right_columns_stay_as_they_are():
+    for tracks in (SAMPLE, change_states(CARS[:3], reverse)):
+        assert derive_contradicted_motion("a.csv", tracks) is tracks
 
 
 def test_agents_seen_once_have_their_stated_speed_checked(tmp_path):
