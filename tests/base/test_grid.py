@@ -3,8 +3,8 @@ import pytest
 
 from geoaim.base.errors import AimError
 from geoaim.base.geometry import image_corners, transform_points
-from geoaim.base.grid import Grid, make_north_up_grid, pad_grid
-from geoaim.base.world import World
+from geoaim.base.grid import Grid, fit_affine, make_north_up_grid, pad_grid
+from geoaim.base.world import LONLAT, World, crs_from_world
 
 POINTS = np.array([[-3.0, 1.2], [7.1, 4.0]])
 OBLIQUE = np.array([[0.05, 0.01, 3.7], [0.004, -0.05, 21.3], [2e-4, 4e-4, 1.0]])
@@ -42,3 +42,18 @@ def test_too_many_pixels_and_no_resolution_are_refused():
     for resolution in (0.0, -1.0, np.nan):
         with pytest.raises(ValueError, match="positive number of metres"):
             make_north_up_grid(POINTS, resolution)
+
+
+def test_affine_fit_lies_within_the_error_that_it_states():
+    world = World("EPSG:32635", (500_000.0, 5_970_000.0))
+    to_world = np.array([[0.0, 5.0, 7.0], [-5.0, 0.0, 3.0], [0.0, 0.0, 1.0]])  # turned by 90°
+    grid = Grid((3000, 2000), to_world, world)
+    matrix, error = fit_affine(grid, world, LONLAT)
+    corners = np.array([[0.0, 0.0], [2000.0, 0.0], [2000.0, 3000.0], [0.0, 3000.0]])
+    lonlat = crs_from_world(world, transform_points(to_world, corners), LONLAT)
+    back = transform_points(np.linalg.inv(matrix), lonlat)
+    assert np.abs(back - corners).max() == pytest.approx(error, rel=1e-3)
+    assert 0.1 < error < 10
+    exact, none = fit_affine(grid, world, "EPSG:32635")
+    np.testing.assert_allclose(exact[:2, 2], [500_007.0, 5_970_003.0], atol=1e-6)
+    assert none < 1e-6

@@ -120,6 +120,14 @@ def test_what_is_no_map_of_that_world_is_refused(tmp_path, change, message):
         read_hdmap(_osm(tmp_path / "a.osm", **change), World(None))
 
 
+def test_message_names_the_first_node_without_degrees(tmp_path):
+    path = tmp_path / "a.osm"
+    nodes = "<node id='1' lon='8' lat='49'/><node id='2' lon='8.5' lat='north'/>"
+    path.write_text(f"<osm>{nodes}<node id='3' lon='9' lat='here'/></osm>")
+    with pytest.raises(MapError, match=r"node 2 has lon '8\.5' and lat 'north'"):
+        read_hdmap(path)
+
+
 def test_road_map_without_lanelets_is_refused(tmp_path):
     path = tmp_path / "a.osm"
     path.write_text("<osm><node id='1' lon='8' lat='49'/></osm>")

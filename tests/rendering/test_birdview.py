@@ -19,6 +19,7 @@ from geoaim.rendering import (
     render_coverage,
     render_layers,
 )
+from geoaim.rendering.prefiltering import _compute_weights
 from geoaim.rendering.rasterization import find_pixels
 
 NORTH_UP = torch.tensor([[2.0, 0.0, 32.0], [0.0, -2.0, 32.0]], dtype=torch.float64)
@@ -174,6 +175,13 @@ def test_prefiltered_ground_does_not_alias(resolution):
     with pytest.warns(GeoaimWarning, match="call prefilter_ground"):
         aliased = render(View(8, 8, resolution), cameras, ground)
     assert (aliased - 0.5).abs().max() > 0.3
+
+
+@pytest.mark.parametrize("side", [1.0, 2.5, 4.0])
+def test_prefilter_is_even_about_its_middle(side):
+    weights = _compute_weights(side)
+    np.testing.assert_allclose(weights, weights[::-1], atol=1e-12)
+    assert len(weights) % 2 == 1
 
 
 def test_prefiltered_ground_stays_in_place():
