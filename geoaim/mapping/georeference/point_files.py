@@ -121,7 +121,7 @@ def _read_workbook(content: bytes) -> str:
         cells = [""] * MAX_SHEET_COLUMNS
         for number, cell in enumerate(row.iter(f"{SHEET_TAG}c")):
             letters = cell.get("r", "").rstrip("0123456789") or chr(ord("A") + number)
-            if len(letters) > 1:
+            if len(letters) > 1 or letters > "Z":
                 continue
             nodes = [node for node in cell if node.tag != f"{SHEET_TAG}f"]  # not the formula
             value = " ".join("".join(word for node in nodes for word in node.itertext()).split())
