@@ -91,7 +91,7 @@ def film_still(still: str, kind: Kind, seed: int, folder: Path, *, count: int) -
             states[row, known] = np.column_stack(
                 [metres[row, known], poses[agents[row], known, 2], speed]
             )
-    present = np.isfinite(states).all(axis=2)
+    present = np.asarray(np.isfinite(states).all(axis=2))
     kept = np.flatnonzero(present.any(axis=1))
     sizes = clip.traffic.sizes[agents[kept]] * STILL_RESOLUTION
     truth = Tracks(
