@@ -76,7 +76,7 @@ def film_still(still: str, kind: Kind, seed: int, folder: Path, *, count: int) -
     clip = make_hover_video(still, size="1080p", count=count, kind=kind, seed=seed).clip
     from_still = np.diag([STILL_RESOLUTION, -STILL_RESOLUTION, 1.0])
     poses = clip.traffic.poses.swapaxes(0, 1)
-    present = np.isfinite(poses).all(axis=2)
+    present = np.asarray(np.isfinite(poses).all(axis=2))
     # a car that starts its lane again is another one
     jumps = np.hypot(*np.diff(poses[..., :2], axis=1).transpose(2, 0, 1)) > 100
     part = np.concatenate([np.zeros((len(poses), 1), int), np.cumsum(jumps, axis=1)], axis=1)
@@ -91,7 +91,7 @@ def film_still(still: str, kind: Kind, seed: int, folder: Path, *, count: int) -
             states[row, known] = np.column_stack(
                 [metres[row, known], poses[agents[row], known, 2], speed]
             )
-    present = np.isfinite(states).all(axis=2)
+    present = np.asarray(np.isfinite(states).all(axis=2))
     kept = np.flatnonzero(present.any(axis=1))
     sizes = clip.traffic.sizes[agents[kept]] * STILL_RESOLUTION
     truth = Tracks(

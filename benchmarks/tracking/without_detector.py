@@ -22,6 +22,7 @@ from jaxtyping import Bool
 from numpy import ndarray as Array
 
 from benchmarks.data import find_data
+from benchmarks.hover_videos import Kind
 from benchmarks.stills import STILLS
 from benchmarks.tracking.benchmark import KINDS, TEST_SEED, VALIDATION_SEED
 from benchmarks.tracking.filmed_cases import FilmedCase, film_drawn, film_still
@@ -32,6 +33,7 @@ from geoaim.tracking.pipeline import track_video
 from geoaim.tracks.agent_types import find_group
 
 SECONDS, STILL_FRAMES = 12.0, 120
+STILL_KINDS: tuple[Kind, ...] = ("plain", "queue")  # of the videos of `STILLS`
 BORDER_PX = 25.0  # vehicles whose middles are nearer to the frame's border are not judged
 MIN_MOVING_SPEED = 1.0  # m/s
 MIN_TOP_SPEED = 0.7  # m/s; a slower vehicle stands all the time
@@ -88,8 +90,8 @@ def make_cases(seed: int, folder: Path) -> Iterator[FilmedCase]:
     for number, kind in enumerate(KINDS):
         yield film_drawn(kind, seed + number, folder, seconds=SECONDS)
     if find_data() is not None:
-        for still, kind in zip(STILLS, ("plain", "queue"), strict=True):
-            yield film_still(still, kind, seed, folder, count=STILL_FRAMES)
+        for still, difficulty in zip(STILLS, STILL_KINDS, strict=True):
+            yield film_still(still, difficulty, seed, folder, count=STILL_FRAMES)
 
 
 def main(

@@ -113,7 +113,8 @@ def learn_ground(
             "vehicles are found without a detector on a map of the same video: build it with "
             "geoaim build, or give boxes (--detections)"
         )
-    median = cv2.GaussianBlur(cv2.dilate(median, np.ones((3, 3))), (5, 5), 1.0)
+    dilated = cv2.dilate(median, np.ones((3, 3)))
+    median = np.asarray(cv2.GaussianBlur(dilated, (5, 5), 1.0), np.uint8)
     tolerance = np.asarray(MIN_DIFFERENCE + NOISE_FACTOR * 1.4826 * median, np.uint8)
     image = _uncover_ground(image, stack, differences, tolerance, resolution)
     ground = Ground(image, covered, tolerance, 1.0, np.zeros(2), resolution)
@@ -144,7 +145,7 @@ def _uncover_ground(
     other, mask = ground.copy(), np.zeros(ground.shape[:2], np.uint8)
     other.reshape(-1, 3)[cells[alike]] = np.rint(middle[alike])
     mask.reshape(-1)[cells[alike]] = 1
-    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3)))
+    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3))), np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
     ring = cv2.dilate(mask, np.ones((3, 3))) - cv2.erode(mask, np.ones((3, 3)))
     around = np.where(ring > 0, ndimage.grey_dilation(labels, size=(3, 3)), 0)

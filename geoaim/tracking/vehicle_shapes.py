@@ -1,6 +1,7 @@
 """Vehicles in what differs from the ground: no shadows, neighbours split, turned boxes."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -109,7 +110,7 @@ def _find_body(
 def _split(body: Bool[Array, "h w"], resolution: float) -> list[Bool[Array, "h w"]]:
     """Split a body into the vehicles that touch in it."""
     count, labels = cv2.connectedComponents(body.view(np.uint8))
-    parts = []
+    parts: list[Bool[Array, "h w"]] = []
     for number in range(1, count):
         part = labels == number
         parts += [part] if _is_one(part, resolution) else _split_touching(part, resolution)
@@ -139,7 +140,8 @@ def _split_touching(part: Bool[Array, "h w"], resolution: float) -> list[Bool[Ar
         kept = [n for n in range(1, count) if stats[n, cv2.CC_STAT_AREA] >= least]
         if len(kept) > 1:
             seeds = np.where(np.isin(cores, kept), cores, 0)
-            labels: Int[Array, "H W"] = watershed(-depth, seeds, mask=padded)[1:-1, 1:-1]
+            flooded: Any = watershed  # it has no types
+            labels: Int[Array, "H W"] = flooded(-depth, seeds, mask=padded)[1:-1, 1:-1]
             # what is farther from a core than the erosion is the bridge between both
             reach = cv2.distanceTransform((seeds == 0).view(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
             near = reach <= erosion / resolution + 1.5
