@@ -46,8 +46,8 @@ def track(
     """Track the agents of a video on its map, from the boxes of a detector.
 
     The frames are registered to the map, which takes the boxes to metres on the ground. Tracks
-    bridge misses, of up to ten seconds by vehicles that drive, and are smoothed; the states that were known at each time
-    are in columns of their own.
+    bridge misses of up to ten seconds, and longer ones of what stands, and are smoothed; the states
+    that were known at each time are in columns of their own.
 
     Example: geoaim track samples/hover.mp4 --aim map.tif --detections samples/boxes -o tracks.csv
     """
