@@ -12,6 +12,7 @@ from numpy import ndarray as Array
 
 from geoaim.base.world import World
 from geoaim.mapping.video.detections import DetectedBoxes
+from geoaim.tracking.association import MIN_HITS
 from geoaim.tracking.ground_detections import place_boxes
 from geoaim.tracks.formats.motion import make_tracks_from_positions
 from geoaim.tracks.tracks import Tracks
@@ -66,7 +67,7 @@ def _track(
         {
             "id": placed.ids,
             "type": placed.types,
-            "time": times[placed.step],
+            "step": placed.step,
             "x": placed.position[:, 0],
             "y": placed.position[:, 1],
             "length": placed.extent.max(axis=1),
@@ -76,8 +77,22 @@ def _track(
     named = rows.groupby("id")
     rows["type"] = named["type"].transform(lambda kinds: kinds.mode()[0])
     rows[["length", "width"]] = named[["length", "width"]].transform("median")
+    rows = _fill_gaps(rows, times)
     tracks = make_tracks_from_positions(rows, world, half_window=HALF_WINDOW_S)
     return _fill_times(tracks, times)
+
+
+def _fill_gaps(rows: pd.DataFrame, times: Float[Array, "T"]) -> pd.DataFrame:
+    """Drop tracks as short as geoaim drops them, and fill the gaps of the others straight."""
+    parts = []
+    for _, part in rows.groupby("id"):
+        if len(part) < MIN_HITS:
+            continue
+        known = part.drop_duplicates("step").set_index("step").sort_index()
+        whole = known.reindex(np.arange(known.index[0], known.index[-1] + 1))
+        whole[["x", "y"]] = whole[["x", "y"]].interpolate()
+        parts.append(whole.ffill().assign(time=times[whole.index]))
+    return pd.concat(parts, ignore_index=True)
 
 
 def _fill_times(tracks: Tracks, times: Float[Array, "T"]) -> Tracks:
