@@ -15,6 +15,7 @@ from geoaim.tracks.tracks import Tracks
 MIN_IOU = 0.3  # of boxes whose states are compared
 MIN_MOVING_SPEED = 0.5  # m/s
 MAX_HEADING_SIGMA_RAD = 1.5  # of a heading that counts as known
+CHI_SQUARED_95, NORMAL_95 = 5.991, 1.96  # of two coordinates; of one
 SENSE_TOLERANCE_RAD = np.pi / 2  # a heading that is off by more has the wrong sense
 
 
@@ -153,6 +154,13 @@ def measure_errors(truth: Tracks, found: Tracks, pairs: Array) -> dict[str, floa
         known = value[np.isfinite(value)]
         errors[name] = float(np.median(known)) if len(known) else np.nan
         errors[f"{name} 90 %"] = float(np.quantile(known, 0.9)) if len(known) else np.nan
+    if found.uncertainty is not None:
+        # what the 95 % regions that are stated hold: a circle of the position, a range of headings
+        stated = found.uncertainty[track, step]
+        inside = values["position m"] < np.sqrt(CHI_SQUARED_95) * stated[:, 0]
+        errors["in position's 95 % region"] = 100 * float(inside.mean())
+        inside = heading[~unknown] < NORMAL_95 * stated[~unknown, 1]
+        errors["in heading's 95 % range"] = 100 * float(inside.mean())
     errors["wrong sense %"] = 100 * float((heading > SENSE_TOLERANCE_RAD).mean())
     errors["heading unknown %"] = 100 * float(unknown.mean())
     return errors

@@ -56,8 +56,9 @@ def track(
     """Track the agents of a video on its map, from a detector's boxes or without a detector.
 
     The frames are registered to the map, which takes the boxes to metres on the ground. Tracks
-    bridge misses of up to two seconds and are smoothed; the states that were known at each time
-    are in columns of their own. Without --detections, vehicles that move, came or left are found
+    bridge misses of up to ten seconds, and longer ones of what stands, and are smoothed; the states
+    that were known at each time are in columns of their own. Without --detections, vehicles that
+    move, came or left are found
     by what differs from the map, which must be one of this video.
 
     Example: geoaim track samples/hover.mp4 --aim map.tif --detections samples/boxes -o tracks.csv

@@ -54,8 +54,8 @@ class Tracks(Display):
         seen: (N, T) whether the agent was detected at each time; where it is present and was not,
             the state bridges a gap. None: not stated.
         uncertainty: (N, T, 2) standard deviations of each coordinate of the position (m) and of the
-            heading (rad); pi where the heading may be any, pi/2 where it may be the opposite.
-            None: not stated.
+            heading (rad); pi where the heading may be any, pi/2 where it may be the opposite. None:
+            not stated.
 
     Raises:
         ValueError: shapes do not match, times do not increase, a present state is not finite, a

@@ -3,10 +3,12 @@
 from importlib.util import find_spec
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from benchmarks.tracking import ablation as tracking_ablation
 from benchmarks.tracking import benchmark as tracking
+from benchmarks.tracking import hard as tracking_hard
 from benchmarks.tracking import peers as tracking_peers
 from benchmarks.tracking import real as tracking_real
 from benchmarks.tracking.cases import DetectorErrors, make_drawn_case
@@ -95,3 +97,13 @@ def test_real_boxes_are_tracked_without_their_ids(data_folder):
     row = tracking_real.measure_songdo(data_folder / tracking_real.FOLDER)
     assert row["position m"] < 0.4
     assert row["vehicles in several tracks"] == row["tracks of several vehicles"] == 0
+
+
+def test_hard_boxes_are_made_and_gaps_of_peers_are_filled():
+    case = tracking_hard.make_lanes_case(1, seconds=2.0, errors=DetectorErrors(doubled=0.5))
+    few = tracking_hard.take_frames(case, 12)
+    assert len(few.boxes) == len(few.truth.times) == 5
+    step = [0, 1, 2, 4, 6]
+    sides = dict.fromkeys(tracking_peers.SIDES, np.array(step, float))
+    filled = tracking_peers._fill_gaps(pd.DataFrame({"id": "a", "type": "car", "step": step} | sides))
+    np.testing.assert_array_equal(filled["left"], np.arange(7))
