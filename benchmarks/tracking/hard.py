@@ -12,12 +12,12 @@ from typing import Annotated, Any
 
 import typer
 
+from benchmarks.results import JsonFile, print_rows, write_rows
 from benchmarks.synthetic.roads.layouts import PlaceKind
 from benchmarks.tracking.benchmark import SECONDS, TEST_SEED, VALIDATION_SEED, measure_case
 from benchmarks.tracking.cases import DetectorErrors, TrackingCase, make_drawn_case
 from benchmarks.tracking.lanes import make_lanes_case
 from benchmarks.tracking.peers import list_peers
-from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
 from geoaim.tracking.pipeline import track_boxes
 
 SIZE = (1080, 1920)

@@ -17,12 +17,12 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 import typer
-from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
 from jaxtyping import Bool
 from numpy import ndarray as Array
 
 from benchmarks.data import find_data
 from benchmarks.hover_videos import Kind
+from benchmarks.results import JsonFile, print_rows, write_rows
 from benchmarks.stills import STILLS
 from benchmarks.tracking.benchmark import KINDS, TEST_SEED, VALIDATION_SEED
 from benchmarks.tracking.filmed_cases import FilmedCase, film_drawn, film_still

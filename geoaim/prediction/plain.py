@@ -212,7 +212,8 @@ def train_plain(
     agent = segments.controlled.float().argmax(dim=1)
     rows = torch.arange(len(segments), device=agent.device)
     states, sizes = segments.states[rows, agent], segments.sizes[rows, agent]
-    cells = torch.floor(states[..., :2].flatten(0, 1) / CELL_M).unique(dim=0) if place else None
+    places = torch.floor(states[..., :2].flatten(0, 1) / CELL_M)
+    cells = torch.unique(places, dim=0) if place else None  # type: ignore[no-untyped-call]
     generator = torch.Generator().manual_seed(0)
     with torch.random.fork_rng(devices=[]), torch.enable_grad():
         torch.manual_seed(0)

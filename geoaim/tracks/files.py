@@ -23,7 +23,7 @@ from collections.abc import Iterable
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -220,7 +220,7 @@ def _write_csv(frame: pd.DataFrame, world: World, path: Path) -> None:
             if name in frame:
                 frame[name] = frame[name].round(decimals) + 0.0  # turns -0.0 into 0.0
         has_breaks = frame[["id", "type"]].stack().str.contains("\r").any()
-        quoting = csv.QUOTE_NONNUMERIC if has_breaks else csv.QUOTE_MINIMAL
+        quoting: Literal[0, 2] = csv.QUOTE_NONNUMERIC if has_breaks else csv.QUOTE_MINIMAL
         frame.to_csv(file, index=False, lineterminator="\n", quoting=quoting)
 
 

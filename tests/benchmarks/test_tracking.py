@@ -105,5 +105,7 @@ def test_hard_boxes_are_made_and_gaps_of_peers_are_filled():
     assert len(few.boxes) == len(few.truth.times) == 5
     step = [0, 1, 2, 4, 6]
     sides = dict.fromkeys(tracking_peers.SIDES, np.array(step, float))
-    filled = tracking_peers._fill_gaps(pd.DataFrame({"id": "a", "type": "car", "step": step} | sides))
+    filled = tracking_peers._fill_gaps(
+        pd.DataFrame({"id": "a", "type": "car", "step": step} | sides)
+    )
     np.testing.assert_array_equal(filled["left"], np.arange(7))
