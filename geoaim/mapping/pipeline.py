@@ -117,7 +117,7 @@ def build_aim(
     registration, background = _register_and_average(
         sample, reference, vehicles, progress, photos=photos
     )
-    _warn_of_limits(registration, background, photos=photos)
+    _warn_of_limits(registration, background, photos=photos, has_boxes=vehicles is not None)
     background = remove_distortion(background, georeference.radial)
     method = _describe_method(vehicles, sample, registration)
     return AIM(
@@ -232,7 +232,7 @@ def _refuse_other_places(registration: register.Registration) -> None:
 
 
 def _warn_of_limits(
-    registration: register.Registration, background: Background, *, photos: bool
+    registration: register.Registration, background: Background, *, photos: bool, has_boxes: bool
 ) -> None:
     """Warn when much of the video could not be used, or the map is smaller than the flight."""
     reference, valid = registration.reference, registration.valid
@@ -263,9 +263,10 @@ def _warn_of_limits(
             "others are not used: give a file for every frame, empty where there is no vehicle"
         )
     if background.contested.mean() > MAX_CONTESTED_SHARE:
+        advice = "look for vehicles without a box" if has_boxes else "give boxes of the vehicles"
         warn(
-            f"the ground is uncertain in {background.contested.mean():.0%} of the pixels: give "
-            "detections of the vehicles, or a longer video"
+            f"the ground is uncertain in {background.contested.mean():.0%} of the pixels: "
+            f"{advice}, or give a longer video"
         )
     middle = np.array([[reference.width / 2, reference.height / 2]])
     centres = transform_points(registration.reference_from_frame[valid], middle)[:, 0]

@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import cv2
 import numpy as np
 import pytest
@@ -241,3 +243,17 @@ def test_uncertain_registration_is_warned_of(frames, monkeypatch):
     monkeypatch.setattr(pipeline, "MAX_TYPICAL_UNCERTAINTY_PX", 1e-3)
     with pytest.warns(GeoaimWarning, match="markings may be doubled"):
         build_aim(frames, points_on(0))
+
+
+@pytest.mark.parametrize(("has_boxes", "advice"), [(True, "without a box"), (False, "give boxes")])
+def test_boxes_are_not_asked_of_who_gave_them(has_boxes, advice, unchecked):
+    size = {"width": 8, "height": 8}
+    registration = SimpleNamespace(
+        valid=np.ones(2, bool),
+        uncertainty=np.zeros(2),
+        reference_from_frame=np.tile(np.eye(3), (2, 1, 1)),
+        reference=SimpleNamespace(index=0, time=0.0, **size),
+    )
+    background = SimpleNamespace(contested=np.ones((8, 8), bool), frames_used=2)
+    with pytest.warns(GeoaimWarning, match=advice):
+        pipeline._warn_of_limits(registration, background, photos=False, has_boxes=has_boxes)
