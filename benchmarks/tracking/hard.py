@@ -6,7 +6,7 @@ Two generators: the synthetic traffic of a junction and a roundabout, and vehicl
 Poses are exact. TrackEval judges identities: `pip install trackeval`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Annotated, Any
 
@@ -65,7 +65,7 @@ def make_cases(seed: int, errors: DetectorErrors) -> Iterator[TrackingCase]:
 
 def measure_hard(seed: int) -> Iterator[dict[str, Any]]:
     """Measure all trackers under each condition; a row for vehicles in each case."""
-    trackers = {"geoaim": track_boxes, **list_peers()}
+    trackers: dict[str, Callable[..., Any]] = {"geoaim": track_boxes, **list_peers()}
     for name, (errors, stride) in CONDITIONS.items():
         for case in make_cases(seed, errors):
             for method, tracker in trackers.items():

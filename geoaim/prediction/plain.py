@@ -213,7 +213,7 @@ def train_plain(
     rows = torch.arange(len(segments), device=agent.device)
     states, sizes = segments.states[rows, agent], segments.sizes[rows, agent]
     places = torch.floor(states[..., :2].flatten(0, 1) / CELL_M)
-    cells = torch.unique(places, dim=0) if place else None  # type: ignore[no-untyped-call]
+    cells = torch.unique(places, dim=0) if place else None
     generator = torch.Generator().manual_seed(0)
     with torch.random.fork_rng(devices=[]), torch.enable_grad():
         torch.manual_seed(0)
