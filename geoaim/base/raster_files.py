@@ -98,6 +98,7 @@ def _recognise(path: Path, drivers: Sequence[str]) -> str:
     with path.open("rb") as file:
         head = file.read(16)
     for driver in drivers:
-        if head.startswith(SIGNATURES[driver]):
+        named = driver != "MBTiles" or path.suffix.lower() == ".mbtiles"  # others are not checked
+        if named and head.startswith(SIGNATURES[driver]):
             return driver
     raise RasterioIOError(f"not recognized as {' or '.join(drivers)}")

@@ -129,10 +129,11 @@ def _describe_single(
     options = {} if tiles.zoom is None else {"ZOOM_LEVEL": tiles.zoom}
     if options and not path.lower().endswith(".mbtiles"):
         raise ImageryError(f"{path} is not an .mbtiles file; omit {name_option('--zoom', 'zoom=')}")
+    is_mbtiles = path.lower().endswith(".mbtiles")
+    corners = _outline_mbtiles(path, tiles.zoom) if is_mbtiles else None  # before GDAL opens it
     raster = describe_raster(path, crs=crs, bands=bands, options=options, nodata=nodata)
     outline = raster.crs, outline_raster(raster)
-    if path.lower().endswith(".mbtiles"):
-        corners = _outline_mbtiles(path, tiles.zoom)
+    if corners is not None:
         check_mbtiles(path, corners)
         outline = MERCATOR, corners
     return Layer(path, (raster,), (outline,), zoom=tiles.zoom, single=True)
