@@ -31,8 +31,9 @@ HISTORY, HORIZON = LAST + 1 - FIRST, STEPS - LAST - 1
 
 @pytest.fixture(params=keep_quick(FORMS, "plain, other rate", "ScenarioNet", "SDD, pedestrians"))
 def form(request, monkeypatch):
-    """A format of tracks; noise is read without the check that refuses what is implausible."""
+    """A format of tracks; noise is read without the checks of what is implausible."""
     monkeypatch.setattr(formats, "check_plausibility", lambda *_: None)
+    monkeypatch.setattr(formats, "derive_contradicted_motion", lambda _, tracks: tracks)
     return FORMS[request.param]
 
 
