@@ -146,6 +146,7 @@ def test_derived_speeds_keep_headings_and_are_negative_against_them():
     np.testing.assert_array_equal(tracks.states[..., 3], [[-4, -4], [0, np.nan]])
 
 
+@pytest.mark.filterwarnings("ignore:.*repeat an agent's time")
 def test_a_real_file_with_reversed_headings_warns_and_takes_them_from_positions(data_folder):
     folder = data_folder / "tracks/karlsruhe/tracks"
     good = read_tracks(folder / "k729_2022-03-16/vehicle_tracks_003.csv")
