@@ -31,6 +31,7 @@ MIN_MOVING_SPEED = 1.0  # m/s; slower motion has too noisy a direction
 MAX_HEADING_ERROR = np.radians(60.0)
 MAX_SPEED_ERROR = (2.0, 0.5)  # m/s, and share of the greater of stated and measured speed
 MAX_SPEED_SHARE = 0.2  # by which an agent's speeds may differ from its motion
+MOST_TURNED = 0.25  # share of agents that head elsewhere than they move: so many do not reverse
 MOST = 0.5  # share of the agents whose columns contradict their motion, so that none are used
 NOISE = 0.05  # share of states that may be wrong without a warning
 NEARLY_ALL = 0.9  # share with which a file is refused
@@ -77,7 +78,7 @@ def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> 
 
     Returns:
         The tracks; speeds alone are replaced where headings are right, and nothing is where only
-        some agents contradict their positions, as one that reverses.
+        few agents contradict their positions, as one that reverses.
     """
     velocity = estimate_velocity(tracks, HALF_WINDOW_S, HALF_WINDOW_S)
     known = tracks.present & np.isfinite(velocity[..., 0])
@@ -93,7 +94,7 @@ def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> 
     off = np.abs(wrap_angle(np.where(moving, direction - tracks.states[..., 2], 0.0)))
     turned = (off > MAX_HEADING_ERROR).sum(axis=1)[judged] > moving.sum(axis=1)[judged] / 2
     wrong = np.abs(ratio - 1) > MAX_SPEED_SHARE
-    wrong_headings, wrong_speeds = (one.mean() > MOST for one in (turned, wrong))
+    wrong_headings, wrong_speeds = turned.mean() > MOST_TURNED, wrong.mean() > MOST
     if not (wrong_headings or wrong_speeds):
         return tracks
     names, found = "Headings and speeds are", f"{turned.sum()} agents do not move where they head"
