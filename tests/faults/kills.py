@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 from random import Random
 
+from geoaim import read_texture
 from geoaim.base.files import TEMPORARY, atomic_write
 from tests.faults import small_sample, writers
 from tests.faults.interruption import run_and_signal, run_interrupted
@@ -89,8 +90,11 @@ def read_after_next_run(folder: Path) -> dict[str, bytes]:
         (place / "next.txt").unlink()
         assert not list(place.glob(f"{TEMPORARY}*"))
     files = read_files(folder)
-    if "texture.json" in files:  # the other picture of a pair stays until the next export
+    if "texture.json" in files:  # while a pair is replaced, its JSON names a spare picture
         named = json.loads(files["texture.json"])["image"]
+        if named != "texture.png":
+            read_texture(folder)
+            return {"texture.png": files[named]}
         files = {name: data for name, data in files.items() if name in ("texture.json", named)}
     return files
 
@@ -125,7 +129,7 @@ def _judge(case: Case, folder: Path) -> str:
         return "leftovers"
     suffix = "" if case.name in ("sample", "train") else writers.WRITERS[case.name][1]
     for state, files in (("old", read_files(case.old)), ("new", case.new)):
-        has_main = suffix and any(name.endswith(suffix) for name in left)
+        has_main = suffix and any(name.endswith((suffix, "texture.png")) for name in left)
         if left == files or (has_main and left.items() <= files.items()):
             return state
     return "broken"
