@@ -42,7 +42,9 @@ def run(workspace: Workspace) -> list[Path]:
         kind, name = config.kind, f"{config.kind}_aim"
         places = make_places(workspace.places, TEST[kind], progress=workspace.progress)
         model = make_realistic(train_model(name, workspace), workspace)
-        model.config = replace(model.config, latent_scale=LATENT_SCALES[kind])
+        model.config = replace(
+            model.config, latent_scale=LATENT_SCALES[kind], brakes=kind == "vehicle"
+        )
         written.append(workspace.folder / "pretrained" / f"{kind}.pt")
         write_model(model, written[-1])
         metrics[f"{kind}s, ITRA"] = evaluate_case(model.sample, Case(name, "aim"), config, places)
