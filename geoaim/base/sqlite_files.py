@@ -8,7 +8,7 @@ from pathlib import Path
 
 STEPS = 20_000_000  # of SQLite's machine: about a second; a million rows are counted within it
 STEPS_PER_BYTE = 1.0
-SHARE_PER_CALL = 100  # how often the limit is looked at
+MAX_INT = 2**31 - 1  # of SQLite
 
 
 @contextmanager
@@ -24,7 +24,6 @@ def open_sqlite(path: str | os.PathLike[str]) -> Iterator[sqlite3.Connection]:
         database.execute("PRAGMA trusted_schema = OFF")
         database.execute("PRAGMA cell_size_check = ON")
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 100_000_000)
-        calls = iter(range(SHARE_PER_CALL))
-        stop = lambda: next(calls, None) is None  # noqa: E731
-        database.set_progress_handler(stop, max(int(limit / SHARE_PER_CALL), 1))
+        # called after that many steps of a statement; what it returns interrupts the statement
+        database.set_progress_handler(lambda: 1, int(min(limit, MAX_INT)))
         yield database

@@ -29,6 +29,15 @@ def plot_text(text: str) -> str:
     return show_text(text).replace("$", r"\$")
 
 
+def hide_credentials(text: str) -> str:
+    """Leave user names and passwords out of the addresses in a text.
+
+    >>> hide_credentials("https://user:password@host/tiles")
+    'https://host/tiles'
+    """
+    return re.sub(r"(?<=://)[^/\s@]*@", "", text)
+
+
 def mark_formulas(names: "pd.Series[str]") -> "pd.Series[str]":
     """Put an apostrophe before names that a spreadsheet would take for formulas."""
     return names.map(lambda name: f"'{name}" if FORMULA.match(name) else name)

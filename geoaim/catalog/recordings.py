@@ -17,6 +17,7 @@ import fsspec
 
 from geoaim.base.csv_rows import parse_number, read_rows
 from geoaim.base.errors import CatalogError, name_option
+from geoaim.base.texts import hide_credentials
 from geoaim.catalog.storage import (
     StoredFile,
     download,
@@ -24,7 +25,6 @@ from geoaim.catalog.storage import (
     get_name,
     get_store,
     hash_bytes,
-    hide_credentials,
     is_local,
     join_address,
     list_folder,

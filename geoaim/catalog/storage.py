@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import re
 import shutil
 import uuid
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ from fsspec.implementations.local import LocalFileSystem
 
 from geoaim.base.errors import CatalogError, GeoaimError
 from geoaim.base.files import atomic_write
+from geoaim.base.texts import hide_credentials
 
 # what a file system tells of a file's version, the surest first
 STAMPS = ("ETag", "etag", "md5Hash", "content_md5", "mtime", "LastModified", "last_modified")
@@ -54,11 +54,6 @@ def get_store(address: str) -> str:
     """Get the part of an address that names its store: protocol and host, without credentials."""
     protocol, _, rest = hide_credentials(address).partition("://")
     return f"{protocol}://{rest.split('/', 1)[0]}"
-
-
-def hide_credentials(text: str) -> str:
-    """Leave user names and passwords out of the addresses in a text."""
-    return re.sub(r"(?<=://)[^/\s@]*@", "", text)
 
 
 def get_name(address: str) -> str:

@@ -20,6 +20,7 @@ from geoaim.base.errors import GeoaimWarning, ImageryError, name_option, warn
 from geoaim.base.limits import refuse_damaged
 from geoaim.base.raster_files import IMAGE_DRIVERS
 from geoaim.base.sqlite_files import open_sqlite
+from geoaim.base.texts import hide_credentials
 from geoaim.imagery.addresses import is_address, normalise_address
 from geoaim.imagery.collars import leave_out_placeholders
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
@@ -222,7 +223,7 @@ def _describe_tiles(
 def _describe_service(
     tiles: Tiles, address: str, region: Region | None, resolution: float | None
 ) -> Layer:
-    name = _hide_query(address)
+    name = _hide_query(hide_credentials(address))
     address = normalise_address(address, name)
     if region is None:
         raise ImageryError(

@@ -228,15 +228,15 @@ def open_parquet(path: str | os.PathLike[str]) -> "ParquetFile":
     """Open a Parquet file of which no table needs far more memory than its size explains."""
     import pyarrow.parquet as parquet
 
-    file = parquet.ParquetFile(path)
-    texts = [field.name for field in file.schema_arrow if _is_text(field.type)]
-    file = parquet.ParquetFile(path, read_dictionary=texts)  # a text once, however often it is told
-    unpacked = sum(
-        file.metadata.row_group(i).total_byte_size for i in range(file.metadata.num_row_groups)
-    )
-    check_memory(path, unpacked, os.path.getsize(path), TracksError, f"{unpacked / 1e6:.0f} MB")
-    rows, columns = file.metadata.num_rows, file.metadata.num_columns
-    needed, size = rows * columns * BYTES_PER_VALUE, os.path.getsize(path)
+    metadata, size = parquet.read_metadata(path), os.path.getsize(path)
+    schema = metadata.schema.to_arrow_schema()
+    texts = [field.name for field in schema if _is_text(field.type)]
+    # a text once, however often it is told
+    file = parquet.ParquetFile(path, metadata=metadata, read_dictionary=texts)
+    unpacked = sum(metadata.row_group(i).total_byte_size for i in range(metadata.num_row_groups))
+    check_memory(path, unpacked, size, TracksError, f"{unpacked / 1e6:.0f} MB")
+    rows, columns = metadata.num_rows, metadata.num_columns
+    needed = rows * columns * BYTES_PER_VALUE
     check_memory(path, needed, size, TracksError, f"{rows} rows of {columns} columns")
     return file
 

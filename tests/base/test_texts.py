@@ -59,7 +59,7 @@ def test_dollar_signs_are_no_mathematics(tmp_path):
 
 def test_the_terminal_gets_no_control_characters(monkeypatch):
     file = StringIO()
-    monkeypatch.setattr(console.console, "file", file)
+    monkeypatch.setattr(console, "console", type(console.console)(file=file))
     console.print_table("a\x1b[2Jb", {"\u202ename": "\x1b]0;title\x07"})
     assert not {"\x1b", "\u202e", "\x07"} & set(file.getvalue())
 

@@ -219,6 +219,15 @@ def test_failing_service_is_an_error(tmp_path, service, answer, reason, monkeypa
     assert address in str(caught.value)
 
 
+def test_messages_have_no_password(tmp_path, service, monkeypatch):
+    monkeypatch.setattr(tile_service, "RETRIES", 0)
+    _, address = service(lambda *_: (500, b""))
+    tiles = Tiles(address.replace("://", "://user:secret@"), cache=tmp_path)
+    with pytest.raises(ImageryError) as caught:
+        read_imagery(tiles, **AREA)
+    assert "secret" not in str(caught.value)
+
+
 @pytest.mark.parametrize("area", [{}, {"resolution": 1.0}])
 def test_service_needs_a_place(area):
     with pytest.raises(ImageryError, match="give what says where, the world and the corners"):
