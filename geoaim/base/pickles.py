@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from geoaim.base.worker import run_limited
+from geoaim.base.worker import run_with_limits
 
 PROTOCOL = 4  # which Python 3.4 and later read
 ARRAY_KINDS = "biufSU"  # kinds of NumPy's types: numbers and texts
@@ -35,7 +35,7 @@ def read_pickle(content: bytes) -> Any:
     """
     size = len(content)
     memory, seconds = MEMORY + MEMORY_PER_BYTE * size, SECONDS + size / BYTES_PER_S
-    return _load(run_limited(copy_pickle, content, memory=memory, seconds=seconds))
+    return _load(run_with_limits(copy_pickle, content, memory=memory, seconds=seconds))
 
 
 def write_pickle(value: Any) -> bytes:

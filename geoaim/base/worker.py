@@ -11,7 +11,7 @@ SERVE = "from geoaim.base.worker import serve; serve({name}, {memory}, {seconds}
 WALL_RATIO = 10  # of the time on the clock to the processor time: a busy machine is no attack
 
 
-def run_limited(
+def run_with_limits(
     work: Callable[[bytes], bytes], content: bytes, *, memory: float, seconds: float
 ) -> bytes:
     """Run a function on bytes in a new process."""
@@ -36,7 +36,7 @@ def run_limited(
 
 
 def serve(work: Callable[[bytes], bytes], memory: int, seconds: int) -> None:
-    """Do the work of `run_limited`: in the new process, from stdin to stdout."""
+    """Do the work of `run_with_limits`: in the new process, from stdin to stdout."""
     with suppress(ImportError):  # Windows has none
         import resource
 

@@ -133,7 +133,7 @@ def train_on_beginning(
 ) -> "PlainNetwork | None":
     """Train the plain network on what comes before the end of scenes; None if that is too short."""
     from geoaim.prediction.config import MAX_HISTORY_STEPS
-    from geoaim.prediction.dataset import cut_with_parked, split_scene
+    from geoaim.prediction.dataset import cut_moving_and_parked, split_scene
     from geoaim.prediction.plain import train_plain
     from geoaim.prediction.segments import concat
 
@@ -142,7 +142,9 @@ def train_on_beginning(
     steps, parts = MAX_HISTORY_STEPS + get_horizon(model), []
     for scene in scenes:
         try:
-            parts.append(cut_with_parked(split_scene(scene, fraction)[0], model.config, steps))
+            parts.append(
+                cut_moving_and_parked(split_scene(scene, fraction)[0], model.config, steps)
+            )
         except TracksError:
             continue
     if not parts:

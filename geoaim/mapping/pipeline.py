@@ -34,7 +34,7 @@ from geoaim.mapping.report import (
     report_position,
     report_registration,
 )
-from geoaim.mapping.sampling import FrameCount, Sample, sample_video, select_registered
+from geoaim.mapping.sampling import FrameCount, Sample, sample_video, select_registered_frames
 from geoaim.mapping.video.detections import (
     DetectedBoxes,
     Detections,
@@ -193,7 +193,7 @@ def _register_and_average(
     if sample.plain_mean:
         return registration, mean.finish()
     again = report_each(
-        select_registered(sample.read(), registration), progress, "average", sample.count
+        select_registered_frames(sample.read(), registration), progress, "average", sample.count
     )
     if search.frame_count >= MIN_FRAMES:
         return registration, search.average(again)

@@ -65,7 +65,7 @@ def sample_video(video: Video, frames: FrameCount) -> Sample:
     return Sample(lambda: map(replace, kept), len(kept), is_kept=True)
 
 
-def select_registered(
+def select_registered_frames(
     frames: Iterable[Frame], registration: Registration
 ) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:
     """Yield the frames that are registered, each with its reference_from_frame."""

@@ -66,7 +66,7 @@ def make_dataset(
     for number, (name, source, piece) in enumerate(pieces):
         progress("segments", number, len(pieces))
         try:
-            segments = cut_with_parked(piece, config, segment_steps)
+            segments = cut_moving_and_parked(piece, config, segment_steps)
         except TracksError as error:
             problems[name].append(f"no {name} segments in {source}: {error}")
         else:
@@ -95,7 +95,7 @@ def split_scene(scene: Scene, val_fraction: float) -> tuple[Scene, Scene]:
     return slice_scene(scene, slice(0, first)), slice_scene(scene, slice(first, None))
 
 
-def cut_with_parked(scene: Scene, config: Config, steps: int | None = None) -> Segments:
+def cut_moving_and_parked(scene: Scene, config: Config, steps: int | None = None) -> Segments:
     """Cut segments of moving agents, and some of parked ones, which then are known to stay.
 
     Args:

@@ -80,13 +80,13 @@ def _compute_area(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
     last_x = x + (end - y) * slope
     width = last_x - first_x
     vertical = width.abs() < MIN_RUN_PX
-    mean_x = _integrate_clamped(last_x) - _integrate_clamped(first_x)
+    mean_x = _integrate_within_limits(last_x) - _integrate_within_limits(first_x)
     mean_x = mean_x / torch.where(vertical, 1.0, width)
     mean_x = torch.where(vertical, ((first_x + last_x) / 2).clamp(0, 1), mean_x)
     return ((end - start) * mean_x).sum(1)
 
 
-def _integrate_clamped(x: Tensor) -> Tensor:
+def _integrate_within_limits(x: Tensor) -> Tensor:
     """Integrate from 0 to x its value clamped to [0, 1]."""
     clamped = x.clamp(0, 1)
     return clamped * (x - clamped / 2)

@@ -155,7 +155,7 @@ def track_boxes(
             f"{len(detections.step)} detections in {known} of {len(frames)} frames give no track; "
             "detections of the same agents in successive frames are needed"
         )
-    _report_unused(detections, tracklets.track)
+    _report_unused_boxes(detections, tracklets.track)
     detections = select_detections(detections, kept)
     tracklets = replace(tracklets, track=tracklets.track[kept], sigma=tracklets.sigma[kept])
     tracks = make_states(detections, tracklets, times, world, lanes)
@@ -163,7 +163,7 @@ def track_boxes(
     return tracks
 
 
-def _report_unused(detections: GroundDetections, track: Int[Array, "M"]) -> None:
+def _report_unused_boxes(detections: GroundDetections, track: Int[Array, "M"]) -> None:
     """Warn where many boxes are in no track, and say why."""
     unused = track < 0
     if unused.mean() > MAX_UNUSED:

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.synthetic.camera import render_frame
 from geoaim.mapping.registration.register import register
 from geoaim.mapping.report import report_registration
-from geoaim.mapping.sampling import sample_video, select_registered
+from geoaim.mapping.sampling import sample_video, select_registered_frames
 from geoaim.mapping.video.video import open_video
 
 
@@ -64,7 +64,7 @@ def test_only_registered_frames_are_averaged(clip):
     frames = [render_frame(clip, index) for index in range(3)]
     frames[1] = np.random.default_rng(0).integers(0, 256, frames[0].shape, np.uint8)
     registration = register(frames, reference_time=0)
-    again = list(select_registered(open_video(frames), registration))
+    again = list(select_registered_frames(open_video(frames), registration))
     assert [frame.index for frame, _ in again] == [0, 2]
     np.testing.assert_array_equal(again[1][1], registration.reference_from_frame[2])
     assert report_registration(registration)["valid"] == 2

@@ -10,7 +10,6 @@ import pytest
 from typer.testing import CliRunner
 
 import geoaim
-from geoaim.aim.aim import AIM
 from geoaim.base.errors import TracksError
 from geoaim.base.geometry import transform_points
 from geoaim.base.progress import no_progress
@@ -23,15 +22,6 @@ from geoaim.tracking.vehicle_shapes import find_shapes
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 FRAMES = 20
-
-
-@pytest.fixture(scope="module")
-def aim():
-    truth = np.load(SAMPLES / "truth.npz")
-    image = np.asarray(cv2.imread(str(SAMPLES / "background.jpg")), np.uint8)[..., ::-1].copy()
-    matrix = truth["world_from_frame"][0]
-    world = geoaim.World(str(truth["crs"]), tuple(truth["origin"].tolist()))
-    return AIM.from_image(image, matrix / matrix[2, 2], world, "sample")
 
 
 @pytest.fixture(scope="module")

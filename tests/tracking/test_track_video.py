@@ -25,15 +25,6 @@ CLASSES = ("car", "van", "truck", "bus", "pedestrian", "cyclist")
 
 
 @pytest.fixture(scope="module")
-def aim():
-    truth = np.load(SAMPLES / "truth.npz")
-    image = np.asarray(cv2.imread(str(SAMPLES / "background.jpg")), np.uint8)[..., ::-1].copy()
-    matrix = truth["world_from_frame"][0]
-    world = geoaim.World(str(truth["crs"]), tuple(truth["origin"].tolist()))
-    return AIM.from_image(image, matrix / matrix[2, 2], world, "sample")
-
-
-@pytest.fixture(scope="module")
 def video():
     whole = open_video(SAMPLES / "hover.mp4")
     frames = [replace(frame) for frame in islice(whole, FRAMES)]

@@ -210,7 +210,7 @@ def _refuse_outside(ends: Float[Array, "M 4"], size: tuple[int, int], source: st
         )
 
 
-def find_oriented(corners: Float[Array, "M 8"]) -> Bool[Array, "M"]:
+def find_oriented_boxes(corners: Float[Array, "M 8"]) -> Bool[Array, "M"]:
     """Find which four corners are those of a rectangle, in pixels, and not of any polygon."""
     points = corners.reshape(-1, 4, 2)
     diagonals = np.linalg.norm(points[:, :2] - points[:, 2:], axis=2)

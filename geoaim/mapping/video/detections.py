@@ -24,7 +24,7 @@ from geoaim.mapping.video.detection_checks import (
     BoxOptions,
     RawBoxes,
     convert_form,
-    find_oriented,
+    find_oriented_boxes,
     get_bounds,
     judge_boxes,
     judge_scores,
@@ -148,7 +148,7 @@ class BoxReader:
         self._usable = usable & (np.array(classes, object) != IGNORED)
         self._boxes, self._corners = get_bounds(numbers), None
         if numbers.shape[1] == 8:
-            oriented = find_oriented(numbers[usable])
+            oriented = find_oriented_boxes(numbers[usable])
             if oriented.mean() > MIN_ORIENTED:
                 self._corners = order_corners(numbers.reshape(-1, 4, 2))
             else:
