@@ -63,14 +63,12 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
     with refuse_damaged(path, ModelError, "a model of this version"):
         with torch.device("meta"):  # the file's weights are the only memory that is needed
             model = ITRA(_make_config(state["config"]))
-        _check_weights(state["weights"], model)
-        weights = {name: value.float() for name, value in state["weights"].items()}
-        model.load_state_dict(weights, assign=True)
+        weights = _load(model, state["weights"])
         if "known_views" in state:
             model.known_views = KnownViews(**state["known_views"])
         if "own_place" in state:
-            model.own_place = _read_place(model.config, state["own_place"])
-            weights |= state["own_place"]["weights"]
+            model.own_place, own = _read_place(model.config, state["own_place"])
+            weights |= own
     infinite = [name for name, value in weights.items() if not value.isfinite().all()]
     if infinite:
         raise ModelError(
@@ -89,23 +87,26 @@ def _make_config(stated: dict[str, Any]) -> Config:
     return config
 
 
-def _check_weights(weights: dict[str, torch.Tensor], model: ITRA) -> None:
-    """Refuse weights that need more memory than the file has, before they need it."""
-    for name, wanted in model.state_dict().items():
-        value = weights[name]
+def _load(module: torch.nn.Module, stored: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Give a module the weights of a file, if they need no more memory than the file has."""
+    for name, value in stored.items():
         if value.layout != torch.strided or value.device.type != "cpu":
             raise ValueError(f"its {name} is no tensor of numbers")
-        if value.shape != wanted.shape or value.untyped_storage().nbytes() < value.nbytes:
-            raise ValueError(f"its {name} has another size than its config says")
+        if value.untyped_storage().nbytes() < value.nbytes:
+            raise ValueError(f"its {name} has more numbers than the file")
+    weights = {name: value.float() for name, value in stored.items()}
+    module.load_state_dict(weights, assign=True)
+    return weights
 
 
-def _read_place(config: Config, state: dict[str, Any]) -> PlainNetwork:
-    """Make the network of a place from its part of a file."""
-    weights = state["weights"]
-    options = {"yields": state["yields"], "cells": weights.get("cells")}
-    network = PlainNetwork(config, state["history"], state["horizon"], **options)
-    network.load_state_dict(weights)
-    return network
+def _read_place(
+    config: Config, state: dict[str, Any]
+) -> tuple[PlainNetwork, dict[str, torch.Tensor]]:
+    """Make the network of a place from its part of a file; with its weights."""
+    options = {"yields": state["yields"], "cells": state["weights"].get("cells")}
+    with torch.device("meta"):
+        network = PlainNetwork(config, state["history"], state["horizon"], **options)
+    return network, _load(network, state["weights"])
 
 
 def read_pretrained(kind: str) -> ITRA:

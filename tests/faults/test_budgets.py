@@ -17,7 +17,15 @@ from geoaim.base.errors import CatalogError, GeoaimError, ImageryError, ModelErr
 from geoaim.base.limits import open_text
 from geoaim.base.world import World
 from geoaim.catalog import read_recordings
-from geoaim.prediction.checkpoints import PRETRAINED, read_model, read_state, write_state
+from geoaim.prediction.checkpoints import (
+    PRETRAINED,
+    read_model,
+    read_pretrained,
+    read_state,
+    write_model,
+    write_state,
+)
+from geoaim.prediction.plain import PlainNetwork
 from geoaim.tracks.files import read_plain_tracks
 from geoaim.web.moving_layers import describe_futures_file
 
@@ -89,6 +97,20 @@ def test_models_with_impossible_numbers_are_refused(tmp_path, state, name, value
 def test_weights_that_the_file_does_not_hold_are_refused(tmp_path, state, change):
     name = next(iter(state["weights"]))
     state["weights"][name] = change(state["weights"][name])
+    write_state(state, tmp_path / "a.pt")
+    with pytest.raises(ModelError, match=name):
+        read_model(tmp_path / "a.pt")
+
+
+@pytest.mark.parametrize("name", ["cells", "propose.0.weight"])
+def test_networks_of_a_place_that_the_file_does_not_hold_are_refused(tmp_path, name):
+    model = read_pretrained("vehicle")
+    model.own_place = PlainNetwork(model.config, 10, 40, cells=torch.zeros(3, 2))
+    write_model(model, tmp_path / "a.pt")
+    assert read_model(tmp_path / "a.pt").own_place.cells.shape == (3, 2)
+    state = read_state(tmp_path / "a.pt")
+    del state["format"]
+    state["own_place"]["weights"][name] = torch.zeros(1).expand(10**10, 2)
     write_state(state, tmp_path / "a.pt")
     with pytest.raises(ModelError, match=name):
         read_model(tmp_path / "a.pt")
