@@ -80,7 +80,7 @@ def test_shrunk_frame_lies_where_its_transform_says(factor):
 def test_background_without_distortion_follows_the_lens():
     none = np.zeros((100, 120), bool)
     background = Background(ramp(), none.astype(np.uint16), none, 1, np.ones(1))
-    image = pipeline._remove_distortion(background, -0.1).image
+    image = pipeline.remove_distortion(background, -0.1).image
     places = coordinates(100, 120).reshape(-1, 2)
     expected = distort_points(places, -0.1, 100, 120).reshape(100, 120, 2)
     assert bias(image, expected) < MAX_BIAS_PX
