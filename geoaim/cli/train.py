@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from geoaim.base.defaults import SAMPLES
+from geoaim.base.errors import TracksError, warn
 from geoaim.base.progress import Progress
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
@@ -146,7 +147,10 @@ def train(
             if placed.own_place is not None:
                 write_model(placed, output / "model.pt")
             before = None if scratch else model
-            judged = _judge(before, placed, scenes_read, val_fraction, progress)
+            try:
+                judged = _judge(before, placed, scenes_read, val_fraction, progress)
+            except TracksError as error:  # the model is trained, and stays
+                warn(f"the model is not judged: {error}")
     held_out = "of them" if windows is not None else "of other agents"
     console.print(
         f"{output / 'model.pt'}: trained on {len(dataset.train)} segments, chosen by "

@@ -90,7 +90,7 @@ def _project(
 
 
 def _measure_extents(
-    turn: Float[Tensor, "E m"], sizes: Float[Tensor, "E m 2"]
+    turn: Float[Tensor, "*E"], sizes: Float[Tensor, "*E 2"]
 ) -> tuple[Tensor, Tensor]:
     """Lengths of boxes along and across a path that they are turned against."""
     cosine, sine = turn.cos().abs(), turn.sin().abs()

@@ -122,10 +122,13 @@ def cut_moving_and_parked(scene: Scene, config: Config, steps: int | None = None
 def hold_out_agents(segments: Segments) -> tuple[Segments, Segments]:
     """Split segments of single agents by agent: those to train on, and those to choose by.
 
-    Every `HELD_OUT`-th agent is held out; a single agent is in both.
+    Every `HELD_OUT`-th agent is held out; a single agent is in both. Where
+    names are not known, each segment counts as an agent.
     """
     column = segments.controlled.int().argmax(dim=1).tolist()
-    names = [row[agent] for row, agent in zip(segments.ids, column, strict=True)]
+    names: list[str] | list[int] = list(range(len(segments)))
+    if segments.ids:
+        names = [row[agent] for row, agent in zip(segments.ids, column, strict=True)]
     order = {name: number for number, name in enumerate(dict.fromkeys(names))}
     held = torch.tensor([order[name] % HELD_OUT == HELD_OUT - 1 for name in names])
     if not held.any():

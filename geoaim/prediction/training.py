@@ -146,7 +146,8 @@ def learn_place(model: ITRA, dataset: Dataset, *, history: int = MAX_HISTORY_STE
     """Give a model a network of one place, which is trained in seconds.
 
     minADE in validation decides whether it is kept, and whether those who follow it brake for
-    others where the model does. Models with trajectory proposals, and of several places, get none.
+    others where the model does. Models with trajectory proposals, of several places,
+    and of segments that end with what is observed get none.
 
     Args:
         model: a trained model.
@@ -157,7 +158,8 @@ def learn_place(model: ITRA, dataset: Dataset, *, history: int = MAX_HISTORY_STE
         The model with the network, or as it is.
     """
     train, val, ground = dataset.train, dataset.val, dataset.ground
-    if model.config.num_anchors or len(ground.regions) > 1 or len(train.worlds) > 1:
+    several = len(ground.regions) > 1 or len(train.worlds) > 1
+    if model.config.num_anchors or several or train.steps <= history:
         return model
     learned = copy.deepcopy(model)
     network = train_plain(train, model.config, history=history, place=True)
@@ -248,7 +250,7 @@ def _measure_min_ade(model: ITRA, val: Segments, ground: Ground, history: int, s
 
 
 def _copy_weights(model: ITRA) -> Weights:
-    return copy.deepcopy(model.state_dict())
+    return {name: value.clone() for name, value in model.state_dict().items()}
 
 
 def _is_best(log: list[tuple[float, ...]]) -> bool:

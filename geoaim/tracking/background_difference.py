@@ -229,7 +229,7 @@ def _find_sun(
 
 
 def _measure_shadows(
-    groups: list[tuple[int, Int[Array, " n"], Float[Array, "n 2"], Bool[Array, " n"]]],
+    groups: list[tuple[int, Int[Array, "_"], Float[Array, "_ 2"], Bool[Array, "_"]]],
     direction: Float[Array, "2"],
 ) -> float:
     """Measure how far shadows reach beyond the lit parts of their vehicles, cells; the median."""

@@ -41,7 +41,7 @@ def get_typical_size(kind: str) -> tuple[float, float]:
     return TYPICAL_SIZES.get(kind, OTHER_SIZE)
 
 
-def predict_extents(size: Float[Array, "2"], turn: Float[Array, "m"]) -> Float[Array, "m 2"]:
+def predict_extents(size: Float[Array, "2"], turn: Float[Array, "*m"]) -> Float[Array, "*m 2"]:
     """Predict the sides of the upright boxes about an agent that is turned in them.
 
     Args:

@@ -131,16 +131,14 @@ def _observe(
     return observed, join_tracks(smoothed, rows, types, detections, times)
 
 
-def _list_detections(rows: TrackRows) -> list[Int[Array, " m"]]:
+def _list_detections(rows: TrackRows) -> list[Int[Array, "_"]]:
     """List the detections of each agent."""
     parts = (rows.detection[part] for part in rows.list_parts())
     return [part[part >= 0] for part in parts]
 
 
 def _describe_agents(
-    detections: GroundDetections,
-    seen: list[Int[Array, " m"]],
-    turn: Float[Array, "M"] | None = None,
+    detections: GroundDetections, seen: list[Int[Array, "_"]], turn: Float[Array, "M"] | None = None
 ) -> AgentTraits:
     """Describe agents by the types of their detections, with the sizes that are typical of them."""
     cut = detections.may_be_cut
@@ -173,7 +171,7 @@ def _estimate_sizes(
     agents: AgentTraits,
     headings: Float[Array, "M"],
     detections: GroundDetections,
-    seen: list[Int[Array, " m"]],
+    seen: list[Int[Array, "_"]],
     sigma: Float[Array, "M"],
 ) -> tuple[AgentTraits, Float[Array, "N"]]:
     """Estimate sizes from whole boxes by these headings, and how far off the lengths may be, m."""
