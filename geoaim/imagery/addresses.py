@@ -43,16 +43,6 @@ def is_address(text: str) -> bool:
 def normalise_address(text: str, name: str) -> str:
     """Write the address of a service with {z}, {x} and {y}, {-y} or {q} alone.
 
-    Args:
-        text: the address, as `{zoom}`, `{switch:a,b}`, `%7Bz%7D` and others write it.
-        name: name of the service in messages, without keys.
-
-    Returns:
-        The address; {s} is left in it.
-
-    Raises:
-        ImageryError: it lacks a number of tiles, or has something else that is not known.
-
     >>> normalise_address("tms[2,22]:https://{switch:a,b}.host/{zoom}/{x}/{-y}.png", "host")
     'https://a.host/{z}/{x}/{-y}.png'
     """
@@ -79,14 +69,6 @@ def normalise_address(text: str, name: str) -> str:
 
 def make_quadkey(zoom: int, x: int, y: int) -> str:
     """Make the quadkey of a tile: a digit for each zoom level, of the bits of x and y.
-
-    Args:
-        zoom: level.
-        x: number of the tile from the west.
-        y: number of the tile from the north.
-
-    Returns:
-        The digits.
 
     >>> make_quadkey(3, 3, 5)
     '213'

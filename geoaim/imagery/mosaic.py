@@ -137,17 +137,7 @@ def read_mosaic(
     corners: Float[Array, "n 2"] | None = None,
     **options: Unpack[ReadOptions],
 ) -> Mosaic:
-    """Read imagery, and tell which part each pixel comes from.
-
-    Args:
-        sources: as in `read_imagery`.
-        world: as in `read_imagery`.
-        corners: as in `read_imagery`.
-        options: as in `read_imagery`.
-
-    Returns:
-        The image and its parts.
-    """
+    """Read imagery, and tell which part each pixel comes from."""
     with TemporaryDirectory(prefix="geoaim-") as folder:
         listed = write_objects(list_sources(sources), Path(folder))
         return _read_files(listed, world, corners, options)

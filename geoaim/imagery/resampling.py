@@ -76,19 +76,6 @@ def resample_raster(
     of adjacent rasters therefore add up to what one raster of both would have given. A raster that
     is finer than the block is first averaged over cells of whole pixels, from its overviews if it
     has any.
-
-    Args:
-        raster: what to resample.
-        raster_from_block: (3, 3) pixels of the block to pixels of the raster.
-        shape: height and width of the block.
-        stretch: maps the raster's values to 8 bits; None for a raster of 8 bits.
-
-    Returns:
-        The rows and the columns of the block that the raster covers, and for these (4, h, w) red,
-        green and blue in [0, 255] times alpha, and alpha in [0, 1]; None if it covers none.
-
-    Raises:
-        ImageryError: the raster cannot be read.
     """
     pixels = transform_points(raster_from_block, image_corners(*shape))
     steps = np.linalg.norm(raster_from_block[:2, :2], axis=1)  # raster pixels per block pixel

@@ -34,13 +34,6 @@ def compute_intersection_area(
     box. Half the sum of the cross products of these pieces' ends is the area (Green's theorem).
     It is computed in float64, so that rounding does not matter where edges nearly coincide.
 
-    Args:
-        poses: (n, 2, 3) x and y, metres, and heading, radians, of both boxes.
-        sizes: (n, 2, 2) length and width, metres.
-
-    Returns:
-        (n,) square metres.
-
     >>> poses = torch.tensor([[[0.0, 0.0, 0.0], [3.0, 0.5, 0.0]]])
     >>> round(float(compute_intersection_area(poses, torch.tensor([[[4.0, 2.0], [4.0, 2.0]]]))), 3)
     1.5
@@ -62,17 +55,6 @@ def box_iou(
     """Compute the intersection over union of all pairs of boxes in each scene.
 
     Only pairs whose circumscribed circles intersect are evaluated.
-
-    Args:
-        poses: (B, A, 3) x, y, heading.
-        sizes: (B, A, 2) length and width, metres.
-        present: (B, A); poses of absent boxes may be NaN.
-
-    Returns:
-        (B, A, A) from 0 to 1; 0 for a box with itself and for absent boxes.
-
-    Raises:
-        ValueError: the pose of a present box is not finite.
     """
     count = poses.shape[1]
     safe = check_poses(poses, present)

@@ -64,22 +64,7 @@ class _PathTemplate(NamedTuple):
 
 
 def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) -> ImageryAlignment:
-    """Estimate how imagery has to be moved to lie under the tracks of vehicles.
-
-    Args:
-        imagery: roughly georeferenced imagery.
-        tracks: tracks in the same world; only moving vehicles are used.
-        prior: how far off the imagery may be; its scale is taken as right.
-
-    Returns:
-        The mean of the posterior, with its covariance; in a direction in which the tracks do not
-        determine the place, the imagery is not moved. `evidence` has the keys poses and
-        rotation_sigma_degrees.
-
-    Raises:
-        AlignmentError: vehicles move at too few places, or the imagery does not fix the place.
-        ValueError: they lie in different worlds.
-    """
+    """Estimate how imagery has to be moved to lie under the tracks of vehicles."""
     if imagery.world != tracks.world:
         raise ValueError(f"the imagery lies in {imagery.world}, the tracks in {tracks.world}")
     poses = sample_poses(tracks)

@@ -34,18 +34,7 @@ class PlacedPart(NamedTuple):
 
 
 def place_mosaic(mosaic: Mosaic, evidence: Evidence) -> AIM:
-    """Move a mosaic, or each of its parts, to where evidence and its own place say it lies.
-
-    Args:
-        mosaic: roughly georeferenced imagery.
-        evidence: an AIM or tracks.
-
-    Returns:
-        The imagery; its report has the entries "alignment" and "position".
-
-    Raises:
-        AlignmentError: the evidence does not tell the place.
-    """
+    """Move a mosaic, or each of its parts, to where evidence and its own place say it lies."""
     parts = align_mosaic(mosaic, evidence)
     placed = [weigh_part(part, evidence, mosaic.aim) for part in parts]
     if len(placed) == 1:
@@ -67,11 +56,7 @@ def apply_alignment(imagery: AIM, alignment: ImageryAlignment) -> AIM:
 
 
 def align_mosaic(mosaic: Mosaic, evidence: Evidence) -> list[Part]:
-    """Align a mosaic: one part if one place suits all of it, else a place for each part.
-
-    Raises:
-        AlignmentError: the evidence does not tell the place.
-    """
+    """Align a mosaic: one part if one place suits all of it, else a place for each part."""
     imagery = mosaic.aim
     whole, error = try_alignment(evidence.align, imagery)
     labels = None
@@ -85,16 +70,7 @@ def align_mosaic(mosaic: Mosaic, evidence: Evidence) -> list[Part]:
 
 
 def weigh_part(part: Part, evidence: Evidence, imagery: AIM) -> PlacedPart:
-    """Weigh the alignment of a part against its own place, where the evidence states its own.
-
-    Args:
-        part: the part, aligned.
-        evidence: what it was aligned to.
-        imagery: the mosaic, whose report may state its own place.
-
-    Returns:
-        The part, how it is to be moved, and how well its place in the world is then known.
-    """
+    """Weigh the alignment of a part against its own place, where the evidence states its own."""
     alignment, reference = part.alignment, evidence.covariance
     own = read_position_covariance(imagery.report)
     if reference is None and (own is None or not isinstance(evidence, TracksEvidence)):

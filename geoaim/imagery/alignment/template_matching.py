@@ -80,16 +80,7 @@ def smooth_for_step(image: Array, step: float) -> Array:
 def resample_grey(
     image: GreyImage, stated_from_true: Float[Array, "3 3"], grid: Grid
 ) -> tuple[Float32[Array, "H W"], Bool[Array, "H W"]]:
-    """Resample a misplaced image to a grid as if its position had been corrected.
-
-    Args:
-        image: the image to resample.
-        stated_from_true: (3, 3) true world metres of the ground to those where the image places it.
-        grid: H x W pixels in the world.
-
-    Returns:
-        (H, W) brightness in grey levels, and (H, W) whether the image shows the pixel.
-    """
+    """Resample a misplaced image to a grid as if its position had been corrected."""
     matrix = to_opencv(image.image_from_world @ stated_from_true @ grid.world_from_grid)
     size = grid.shape[::-1]
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP

@@ -128,15 +128,6 @@ def weigh_alignment(
     The alignment says where the imagery lies relative to its reference, which may itself be off.
     In a direction in which the imagery's own place is better known it stays.
 
-    Args:
-        alignment: how the imagery has to be moved to lie on the reference.
-        own: (2, 2) covariance of the imagery's stated place, square metres.
-        reference: (2, 2) covariance of the reference's place.
-
-    Returns:
-        The alignment with the shift that remains, and the (2, 2) covariance of the place in the
-        world.
-
     >>> off = ImageryAlignment(translation(5.0, 5.0), "translation", np.eye(2) * 0.01, np.zeros(2))
     >>> moved, _ = weigh_alignment(off, np.eye(2) * 100, np.diag([0.0, 1e6]))
     >>> moved.shift.round(1).tolist()  # of north the reference says nothing

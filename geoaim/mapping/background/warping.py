@@ -67,16 +67,7 @@ def sharpen_mean(
 def draw_footprint(
     frame_size: tuple[int, ...], image_from_frame: Float[Array, "3 3"], size: tuple[int, int]
 ) -> UInt8[Array, "h w"]:
-    """Draw where a frame shows the image.
-
-    Args:
-        frame_size: height and width of the frame; further entries are ignored.
-        image_from_frame: (3, 3) its registration.
-        size: (height, width) of the image, pixels.
-
-    Returns:
-        (h, w) 1 inside the frame without its rim, else 0.
-    """
+    """Draw where a frame shows the image."""
     height, width = frame_size[0] - 2 * FRAME_INSET_PX, frame_size[1] - 2 * FRAME_INSET_PX
     corners = image_corners(height, width) + FRAME_INSET_PX
     polygon = transform_points(image_from_frame, corners)

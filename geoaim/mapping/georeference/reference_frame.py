@@ -75,23 +75,7 @@ def georeference_reference_frame(
     detections: Detections | None,
     crs: str | None,
 ) -> tuple[Georeference, ControlPoints | None, Reference]:
-    """Georeference the reference frame by control points, or without them by telemetry.
-
-    Args:
-        points: control points, picked on any frames of the video.
-        video: the video, with its telemetry.
-        reference: the reference frame.
-        detections: vehicles that registration leaves out.
-        crs: CRS of the world, projected and in metres; None keeps the points' own, or their UTM
-            zone.
-
-    Returns:
-        The georeference; one control point for each place, with pixels of the reference frame; and
-        the reference, which is another frame where photos overlap in a chain only.
-
-    Raises:
-        GeoreferenceError: nothing fixes a place, or a frame with control points is missing.
-    """
+    """Georeference the reference frame by control points, or without them by telemetry."""
     if points is None:
         return _georeference_by_telemetry(video.telemetry, video.listed, reference), None, reference
     check_inside(points, (video.height, video.width))
@@ -206,18 +190,6 @@ def override_telemetry(
 
     Where a height or heading is given, a camera whose pitch is not stated is taken to look straight
     down.
-
-    Args:
-        video: the video, with telemetry that states at least a position.
-        height: metres above the ground; None keeps what the telemetry states.
-        yaw: compass heading of the image's top, degrees clockwise from north; None keeps it.
-        focal_length: 35 mm equivalent with any zoom, millimetres; None keeps it.
-
-    Returns:
-        The video with this telemetry.
-
-    Raises:
-        ValueError: the height or the focal length is not positive, or a value is not finite.
     """
     given = {}
     if height is not None:

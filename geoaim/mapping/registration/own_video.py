@@ -170,16 +170,7 @@ def prepare(frames: Sequence[Frame], setting: Setting) -> Reference:
 def register_with(
     frames: Sequence[Frame], setting: Setting, reference: Reference | None = None
 ) -> Placements:
-    """Register frames with a setting.
-
-    Args:
-        frames: frames in order of time.
-        setting: the setting.
-        reference: prepared for it; None prepares it.
-
-    Returns:
-        The registrations, in pixels of the full image.
-    """
+    """Register frames with a setting."""
     reference = reference or prepare(frames, setting)
     matrices, seconds, stated = [], [], []
     scale = np.diag([setting.reduction, setting.reduction, 1.0])

@@ -280,16 +280,6 @@ def convert_boxes(value: Any, form: str | None = None) -> DetectedBoxes | None:
 
     Results of ultralytics have `boxes` or `obb`, with xyxy (or xyxyxyxy), conf, cls and id; those
     of supervision xyxy, confidence, class_id, tracker_id and names in `data`.
-
-    Args:
-        value: the boxes of one frame.
-        form: what the four numbers of a plain array are; None: left, top, right, bottom.
-
-    Returns:
-        The boxes; None for None.
-
-    Raises:
-        GeoaimError: boxes end before they begin, so that their numbers are others.
     """
     if value is None or isinstance(value, DetectedBoxes):
         return value

@@ -81,11 +81,7 @@ class Video:
         return FrameList(self.source, (self.width, self.height), self.rate, self.names, times)
 
     def find_time(self, index: int) -> float:
-        """Find the time of a frame by its number, s since the first.
-
-        Raises:
-            ValueError: the video has no frame of that number.
-        """
+        """Find the time of a frame by its number, s since the first."""
         times, count = self.listed.times, self.listed.count
         if index < 0 or (count is not None and index >= count):
             raise ValueError(f"{self.source} has {count} frames, from 0, and none is {index}")

@@ -70,16 +70,7 @@ def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
 
 
 def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> Tracks:
-    """Replace headings and speeds by those of the positions where most agents' contradict them.
-
-    Args:
-        path: the file that a warning names.
-        tracks: the tracks as the file has them.
-
-    Returns:
-        The tracks; speeds alone are replaced where headings are right, and nothing is where only
-        few agents contradict their positions, as one that reverses.
-    """
+    """Replace headings and speeds by those of the positions where most agents' contradict them."""
     velocity = estimate_velocity(tracks, HALF_WINDOW_S, HALF_WINDOW_S)
     known = tracks.present & np.isfinite(velocity[..., 0])
     velocity = np.nan_to_num(velocity)
