@@ -2,25 +2,21 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim.position import CHI2_1D, CHI2_2D, describe_covariance, measure_azimuth
-from geoaim.base.displays import Display
+from geoaim.aim.position import CHI2_1D, CHI2_2D
 from geoaim.base.geometry import transform_points
 from geoaim.mapping.registration.motion_models import Model
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 MAX_SIGMA_M = 1.0  # a direction of greater standard deviation counts as undetermined
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class ImageryAlignment(Display):
+@dataclass(frozen=True, eq=False)
+class ImageryAlignment:
     """How imagery has to be moved to its true place."""
 
     true_from_stated: Float[Array, "3 3"]  # metres; stated = by the image's own georeference
@@ -55,26 +51,3 @@ class ImageryAlignment(Display):
     def shift(self) -> Float[Array, "2"]:
         """Metres east and north by which the imagery is moved at the center."""
         return transform_points(self.true_from_stated, self.center[None])[0] - self.center
-
-    def summarize(self) -> dict[str, str]:
-        """Summarize the model, the shift, its uncertainty and its undetermined direction."""
-        east, north = self.shift
-        lines = {
-            "model": self.model,
-            "shift": f"{east:+.2f} m east, {north:+.2f} m north",
-            "uncertainty (95 %)": describe_covariance(self.covariance),
-        }
-        if (direction := self.undetermined_direction) is not None:
-            along = np.array([np.cos(direction), np.sin(direction)])
-            lines["undetermined"] = f"along azimuth {measure_azimuth(along):.0f}°"
-        return lines
-
-    def _draw(self, axes: "Axes") -> None:
-        angles = np.linspace(0, 2 * np.pi, 73)
-        circle = np.sqrt(CHI2_2D) * np.column_stack([np.cos(angles), np.sin(angles)])
-        variances, directions = np.linalg.eigh(self.covariance)
-        end = self.center + self.shift
-        ellipse = end + circle * np.sqrt(variances) @ directions.T
-        axes.plot(*np.stack([self.center, end]).T, "o-", color="#d00000", label="shift")
-        axes.plot(*ellipse.T, color="0.4", label="holds the place in 95 % of cases")
-        axes.margins(0.2)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -42,7 +43,7 @@ class PickingSession:
     past: tuple[tuple[PickedPoint, ...], ...] = ()  # earlier points, the last ones at the end
     future: tuple[tuple[PickedPoint, ...], ...] = ()  # points that were undone, the next at the end
     candidates: tuple[PairCandidate, ...] = ()  # proposed, and not accepted yet
-    saved: tuple[PickedPoint, ...] = ()  # the points in the task's file, as last read or written
+    saved: bytes = b""  # the content of the task's file, as last read or written
 
 
 def open_session(task: PickingTask) -> PickingSession:
@@ -51,11 +52,11 @@ def open_session(task: PickingTask) -> PickingSession:
         if task.path is not None and task.path.suffix != ".csv":
             raise ValueError(f"{task.path}: points are saved as .csv; other formats are exported")
         return PickingSession(task)
+    content = task.path.read_bytes()
     if task.path.suffix == ".csv" and not read_point_file(task.path):
-        return PickingSession(task)
+        return PickingSession(task, saved=content)
     saved = read_control_points(task.path, keep_incomplete=True)
-    points = _list_points(saved)
-    session = PickingSession(replace(task, crs=saved.crs), points, saved=points)
+    session = PickingSession(replace(task, crs=saved.crs), _list_points(saved), saved=content)
     _warn_of_other_place(session)
     return session
 
@@ -102,62 +103,22 @@ def redo(session: PickingSession) -> PickingSession:
 
 
 def save_points(session: PickingSession) -> PickingSession:
-    """Write all points to the task's file, after what others changed there is merged by name."""
+    """Write all points to the task's file, unless something else has changed it."""
     path = session.task.path
     if path is None:
         return session
     with lock_folder(path.parent, wait=True):
-        if path.exists() and (path.suffix != ".csv" or read_point_file(path)):
-            other = read_control_points(path, keep_incomplete=True)
-            if other.crs != session.task.crs and session.saved:
-                raise ValueError(
-                    f"{path} was saved in {other.crs} meanwhile, and these points are in "
-                    f"{session.task.crs}; start picking again to go on from that file"
-                )
-            session = _merge(session, _list_points(other))
+        if _read_bytes(path) != session.saved:
+            raise ValueError(
+                f"{path} was changed by another page or program meanwhile; start picking again to "
+                "go on from that file"
+            )
         write_control_points(collect_points(session), path)
-    return replace(session, saved=session.points)
+        return replace(session, saved=_read_bytes(path))
 
 
-def _merge(session: PickingSession, other: tuple[PickedPoint, ...]) -> PickingSession:
-    """Merge what differs in the file from what was saved last, into all states of the session."""
-    before, now, here = _index(session.saved), _index(other), _index(session.points)
-    if before == now:
-        return session
-    states = (session.points, *session.past, *session.future)
-    number = 1 + max((point.id for points in states for point in points), default=0)
-    new = [p for name, p in now.items() if name not in before and p != here.get(name)]
-    added = tuple(replace(point, id=number + i) for i, point in enumerate(new))
-    names: dict[int, str] = {}  # of points of this session whose names were taken meanwhile
-    for point in session.points:
-        if point.name in {p.name for p in new}:
-            called = (*session.points, *added, *(PickedPoint(0, name) for name in names.values()))
-            names[point.id] = choose_name(called)
-            warn(f"another {point.name!r} was saved meanwhile; this one is {names[point.id]!r} now")
-        elif point.name in before and before[point.name] not in (
-            here[point.name],
-            now.get(point.name),
-        ):
-            warn(f"{point.name!r} was changed elsewhere as well; it stays as it is here")
-
-    def merge(points: tuple[PickedPoint, ...]) -> tuple[PickedPoint, ...]:
-        renamed = [replace(point, name=names.get(point.id, point.name)) for point in points]
-        is_changed = {p.name: before.get(p.name) != replace(p, id=0) for p in renamed}
-        kept = [p for p in renamed if is_changed[p.name] or p.name in now]
-        merged = [p if is_changed[p.name] else replace(now[p.name], id=p.id) for p in kept]
-        return (*merged, *added)
-
-    return replace(
-        session,
-        points=merge(session.points),
-        past=tuple(map(merge, session.past)),
-        future=tuple(map(merge, session.future)),
-    )
-
-
-def _index(points: Sequence[PickedPoint]) -> dict[str, PickedPoint]:
-    """Map names to points without their numbers, which are of a session."""
-    return {point.name: replace(point, id=0) for point in points}
+def _read_bytes(path: Path) -> bytes:
+    return path.read_bytes() if path.exists() else b""
 
 
 def _list_points(saved: ControlPoints) -> tuple[PickedPoint, ...]:
