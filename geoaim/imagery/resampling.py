@@ -149,25 +149,20 @@ def _read(
     raster: Raster, window: Window, shape: tuple[int, int], method: Resampling
 ) -> tuple[Float32[Array, "C h w"], Float32[Array, "h w"]]:
     """Values and alpha in [0, 1] of a window, resampled to (rows, columns)."""
-    with open_raster(raster.path, raster.options) as dataset:
-        return _read_window(dataset, raster, window, shape, method)
-
-
-def _read_window(
-    dataset: Any, raster: Raster, window: Window, shape: tuple[int, int], method: Resampling
-) -> tuple[Float32[Array, "C h w"], Float32[Array, "h w"]]:
     bands = list(raster.bands)
     part = {"window": window, "out_shape": (len(bands), *shape)}
-    palette = dataset.colorinterp[bands[0] - 1] == ColorInterp.palette
-    if palette:
-        method = Resampling.nearest  # the mean of two indices is a third colour
-    values = dataset.read(bands, **part, resampling=method, out_dtype="float32")
-    alpha = _read_alpha(dataset, values, bands, part, method)
+    with open_raster(raster.path, raster.options) as dataset:
+        palette = dataset.colorinterp[bands[0] - 1] == ColorInterp.palette
+        if palette:
+            method = Resampling.nearest  # the mean of two indices is a third colour
+        values = dataset.read(bands, **part, resampling=method, out_dtype="float32")
+        alpha = _read_alpha(dataset, values, bands, part, method)
+        named = dataset.colormap(bands[0]) if palette else {}
     if raster.nodata is not None and not raster.masked:
         alpha = alpha * (values != np.float32(raster.nodata)).any(axis=0)
     if palette:
         colours = np.zeros((256, 4), np.float32)
-        for index, colour in dataset.colormap(bands[0]).items():
+        for index, colour in named.items():
             colours[index & 255] = colour
         expanded = colours[values[0].astype(int) & 255]
         values, alpha = np.moveaxis(expanded[..., :3], -1, 0), alpha * expanded[..., 3] / 255

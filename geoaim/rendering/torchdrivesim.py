@@ -72,7 +72,7 @@ WAYPOINT_SIDE_M = 2.0 * math.sqrt(math.pi)  # side of a square as large as torch
 
 
 class FrameRenderer(BirdviewRenderer):  # type: ignore[misc]
-    """A torchdrivesim renderer of an image map, differentiable with respect to poses and cameras."""
+    """Renders an image map for torchdrivesim, differentiable by poses and cameras."""
 
     def __init__(self, ground: Ground, cfg: RendererConfig | None = None, **base: Any) -> None:
         super().__init__(cfg or RendererConfig(), **{"device": ground.image.device, **base})
