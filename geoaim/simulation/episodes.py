@@ -11,10 +11,10 @@ from geoaim.base.errors import TracksError
 from geoaim.rendering.scene import Scene, find_agent, find_step, slice_scene
 from geoaim.simulation import simulator
 from geoaim.simulation.idm import make_idm_policy
-from geoaim.simulation.policies import constant_turn_rate, constant_velocity
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, check_rules
 from geoaim.simulation.routes import extract_routes
 from geoaim.simulation.scene_infractions import detect_infractions
+from geoaim.simulation.simulator import constant_turn_rate, constant_velocity
 from geoaim.simulation.spawning import rollout_routes
 from geoaim.tracks.agent_types import select_group
 

@@ -165,7 +165,7 @@ def make_drivable(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
     Raises:
         MapError: the area is empty or too narrow, or lies too far from the world's origin.
     """
-    from geoaim.hdmap.signed_distance import compute_signed_distance  # needs OpenCV and rasterio
+    from geoaim.hdmap.drivable import compute_signed_distance  # needs OpenCV and rasterio
 
     check_near_origin("drivable area", np.array(area.bounds).reshape(2, 2))
     distance, grid = compute_signed_distance(area, resolution=resolution)

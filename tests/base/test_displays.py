@@ -13,11 +13,10 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 import geoaim
 from geoaim.base.displays import Display
-from geoaim.base.drift_plot import draw_drift
 from geoaim.base.errors import GeoreferenceError
 from geoaim.base.geometry import translation
 from geoaim.base.labels import label_points
-from geoaim.base.map_axes import add_legend, add_scale_bar, draw_lines, move_to_axes
+from geoaim.base.map_axes import add_legend, add_scale_bar, draw_drift, draw_lines, move_to_axes
 from geoaim.base.world import World, change_world, world_from_lonlat
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels

@@ -21,8 +21,12 @@ from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import make_similarity, transform_points, translation
 from geoaim.base.grid import Grid, pad_grid
 from geoaim.base.progress import Progress, no_progress, report_each
-from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior, refuse_beyond_prior
-from geoaim.imagery.alignment.result import ImageryAlignment
+from geoaim.imagery.alignment.result import (
+    DEFAULT_PRIOR,
+    ImageryAlignment,
+    Prior,
+    refuse_beyond_prior,
+)
 from geoaim.imagery.alignment.template_matching import (
     WINDOW_PX,
     GreyImage,

@@ -24,8 +24,13 @@ from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import make_similarity, to_opencv, transform_points
 from geoaim.base.grid import Grid
 from geoaim.imagery.alignment import template_matching
-from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior, compute_log_prior
-from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment
+from geoaim.imagery.alignment.result import (
+    DEFAULT_PRIOR,
+    MAX_SIGMA_M,
+    ImageryAlignment,
+    Prior,
+    compute_log_prior,
+)
 from geoaim.tracks.agent_types import AGENT_GROUPS
 from geoaim.tracks.tracks import Tracks
 

@@ -17,10 +17,14 @@ from geoaim.base.errors import AlignmentError, warn
 from geoaim.base.geometry import make_similarity, transform_points, translation
 from geoaim.base.world import World, choose_world, lonlat_from_world
 from geoaim.imagery.alignment.by_control_points import georeference_picture
-from geoaim.imagery.alignment.evidence import Evidence, list_evidence
-from geoaim.imagery.alignment.placement import apply_alignment, place_mosaic, report_alignment
-from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
-from geoaim.imagery.alignment.result import ImageryAlignment
+from geoaim.imagery.alignment.placement import (
+    Evidence,
+    apply_alignment,
+    list_evidence,
+    place_mosaic,
+    report_alignment,
+)
+from geoaim.imagery.alignment.result import DEFAULT_PRIOR, ImageryAlignment, Prior
 from geoaim.imagery.alignment.tracks_parts import forget_undetermined, weigh_alignment
 from geoaim.imagery.mosaic import Mosaic, ReadOptions, read_lonlat, read_mosaic
 from geoaim.imagery.sources import ImageryObject, Source

@@ -20,7 +20,7 @@ from geoaim.aim.aim import AIM
 from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import to_opencv
 from geoaim.base.grid import Grid, make_north_up_grid
-from geoaim.imagery.alignment.prior import Prior
+from geoaim.imagery.alignment.result import Prior
 
 SHADOW_RADIUS_M = 10.0  # radius of the local mean, to which darker pixels are raised
 GRADIENT_SIGMA_PX = 0.7  # standard deviation of the Gaussian filter before the gradient

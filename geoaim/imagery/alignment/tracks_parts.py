@@ -23,8 +23,7 @@ from geoaim.imagery.alignment.by_tracks import (
     score_parts,
 )
 from geoaim.imagery.alignment.parts import Labels, Part
-from geoaim.imagery.alignment.prior import Prior, compute_log_prior
-from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment
+from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment, Prior, compute_log_prior
 from geoaim.tracks.tracks import Tracks
 
 # how probable it is before that the parts are displaced: files of their own, and within one file

@@ -19,10 +19,10 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from geoaim.base.displays import Display
-from geoaim.base.drift_plot import draw_drift
 from geoaim.base.errors import RegistrationError
 from geoaim.base.files import atomic_write
 from geoaim.base.geometry import image_corners, transform_points
+from geoaim.base.map_axes import draw_drift
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.frame_registration import (

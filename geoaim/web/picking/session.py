@@ -1,24 +1,91 @@
 """A session of picking control points: its points, undo and redo, and saving."""
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
+from geoaim.aim.aim import AIM
+from geoaim.aim.position import read_position_covariance
 from geoaim.base.errors import warn
 from geoaim.base.files import lock_folder
 from geoaim.base.geometry import transform_points
-from geoaim.base.world import world_from_crs
+from geoaim.base.world import LONLAT, world_from_crs
+from geoaim.imagery.mosaic import read_imagery
 from geoaim.mapping.georeference.control_points import ControlPoints, read_control_points
+from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.point_export import clean_text, write_control_points
 from geoaim.mapping.georeference.point_files import read_point_file
 from geoaim.mapping.georeference.reference_frame import FrameName
+from geoaim.mapping.video.video import open_video, read_frame
 from geoaim.web.picking.candidates import PairCandidate
-from geoaim.web.picking.task import PickingTask
+
+
+@dataclass(frozen=True, eq=False)
+class PickingTask:
+    """What control points are picked on."""
+
+    frame: UInt8[Array, "H W 3"]
+    frame_name: FrameName = None  # the frame of a video; None: its first one, or a single picture
+    # imagery on which the same places are picked; None: coordinates are typed
+    imagery: AIM | None = None
+    crs: str | None = LONLAT  # CRS of the coordinates; None for a local metric plane
+    path: Path | None = None  # the .csv that is written after each change
+    # rough georeference of the frame, as by telemetry, in the imagery's world
+    rough: Georeference | None = None
+
+    @property
+    def accuracy(self) -> float:
+        """One sigma of the places, metres: a pixel of the imagery they are picked on."""
+        return 0.0 if self.imagery is None else self.imagery.resolution
+
+    @property
+    def shared_covariance(self) -> Float[Array, "2 2"] | None:
+        """Covariance of the imagery's own place, square metres, which all points share."""
+        return None if self.imagery is None else read_position_covariance(self.imagery.report)
+
+
+def read_task(
+    video: str | Path,
+    path: str | os.PathLike[str],
+    *,
+    imagery: AIM | str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None,
+    time: float = 0.0,
+    crs: str | None = LONLAT,
+    imagery_crs: str | None = None,
+) -> PickingTask:
+    """Read the frame and the imagery on which control points are picked.
+
+    Args:
+        video: a video, images or one image.
+        path: the .csv of the points; if it exists, picking continues with its points.
+        imagery: an AIM, or what `read_imagery` reads; None: coordinates are typed.
+        time: time of the frame, s.
+        crs: CRS of the coordinates; None for a local metric plane.
+        imagery_crs: CRS of imagery that states none, such as an image with a world file.
+
+    Returns:
+        The task.
+
+    Raises:
+        GeoaimError: something cannot be read.
+    """
+    frame = read_frame(open_video(video), time)
+    if imagery is not None and not isinstance(imagery, AIM):
+        imagery = read_imagery(imagery, crs=imagery_crs)
+    return PickingTask(
+        frame=frame.image,
+        frame_name=frame.name or frame.index or None,
+        imagery=imagery,
+        crs=crs,
+        path=Path(path),
+    )
+
 
 Vector = tuple[float, float]
 

@@ -8,7 +8,7 @@ from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import transform_points
 from geoaim.base.world import World
 from geoaim.imagery.alignment.by_tracks import align_tracks, sample_poses
-from geoaim.imagery.alignment.prior import Prior
+from geoaim.imagery.alignment.result import Prior
 from geoaim.tracks.tracks import Tracks
 from tests.conftest import textured
 from tests.imagery.alignment.alignment_pairs import as_aim, made, misplaced

@@ -12,8 +12,7 @@ from geoaim.base.world import World
 from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.web.picking.actions import handle
 from geoaim.web.picking.page import find_pairs
-from geoaim.web.picking.session import open_session
-from geoaim.web.picking.task import PickingTask
+from geoaim.web.picking.session import PickingTask, open_session
 from tests.web.picking.test_candidates import PIXELS
 
 SAMPLE = Path(__file__).parents[3] / "samples"
