@@ -61,10 +61,7 @@ class ReadOptions(TypedDict, total=False):
 
 
 class Mosaic(NamedTuple):
-    """A mosaic, and which of its parts each pixel comes from.
-
-    Parts were placed each for itself: the files of a mosaic, or a service or folder of tiles.
-    """
+    """A mosaic, and which of its parts each pixel comes from."""
 
     aim: AIM
     # number of the part, from 1; 0 where nothing is; None where there is one part only

@@ -33,11 +33,7 @@ class Stretch(NamedTuple):
 def estimate_stretch(
     rasters: Sequence[Raster], points: Mapping[str, Float[Array, "m 2"]]
 ) -> Stretch | None:
-    """Estimate the 1st and 99th percentile of rasters of more than 8 bits, jointly over all bands.
-
-    About a million pixels are read within the bounds of `points`, which has (m, 2) points for each
-    CRS of the rasters. None when all rasters have 8 bits, or no valid pixel can be read there.
-    """
+    """Estimate the 1st and 99th percentile of rasters of more than 8 bits, jointly over all bands."""
     deep = [raster for raster in rasters if raster.dtype != "uint8"]
     samples = [np.empty(0, np.float32)]
     side = max(1, int(STRETCH_SAMPLES_PX / max(len(deep), 1) ** 0.5))
@@ -70,13 +66,7 @@ def resample_raster(
     shape: tuple[int, int],
     stretch: Stretch | None,
 ) -> tuple[slice, slice, Float32[Array, "4 h w"]] | None:
-    """Resample a raster to a block of the image by cubic convolution over its valid pixels.
-
-    Colours are weighted sums that are not divided by the sum of the weights, which is alpha. Those
-    of adjacent rasters therefore add up to what one raster of both would have given. A raster that
-    is finer than the block is first averaged over cells of whole pixels, from its overviews if it
-    has any.
-    """
+    """Resample a raster to a block of the image by cubic convolution over its valid pixels."""
     pixels = transform_points(raster_from_block, image_corners(*shape))
     steps = np.linalg.norm(raster_from_block[:2, :2], axis=1)  # raster pixels per block pixel
     cell = np.maximum(1.0, np.floor(steps + 1e-3))

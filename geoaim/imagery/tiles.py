@@ -68,10 +68,7 @@ def intersect_tiles(tiles: Int[Array, "n 3"], region: Region | None) -> Bool[Arr
 
 
 def compute_world_fractions(region: Region) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-    """Compute the least and greatest (x, y) of a region, from 0 to 1 over web Mercator.
-
-    y is down; times 2^zoom they are tile numbers.
-    """
+    """Compute the least and greatest (x, y) of a region, from 0 to 1 over web Mercator."""
     shares = (region.to_crs(MERCATOR) * [1.0, -1.0] + HALF_WORLD_M) / (2.0 * HALF_WORLD_M)
     return shares.min(axis=0), shares.max(axis=0)
 

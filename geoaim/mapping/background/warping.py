@@ -75,10 +75,7 @@ def draw_footprint(
 
 
 def draw_polygons(polygons: Float[Array, "n m 2"], size: tuple[int, int]) -> UInt8[Array, "h w"]:
-    """Draw n convex polygons of m corners (pixels) to 1/16 px, on an image of (height, width).
-
-    1 inside any of them, else 0.
-    """
+    """Draw n convex polygons of m corners (pixels) to 1/16 px, on an image of (height, width)."""
     mask = np.zeros(size, np.uint8)
     for polygon in np.rint((polygons - 0.5).clip(-30000, 30000) * 16).astype(np.int32):
         cv2.fillConvexPoly(mask, polygon, [1], shift=4)

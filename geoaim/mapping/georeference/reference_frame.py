@@ -94,11 +94,7 @@ def georeference_reference_frame(
 def _place_points(
     points: ControlPoints, video: Video, reference: Reference, detections: Detections | None
 ) -> tuple[ControlPoints, Reference]:
-    """Transform control points to the reference; points that cannot be placed are left out.
-
-    Where photos of a flight cannot all be registered to one, overlapping photos are linked, and the
-    central one of those with control points becomes the reference.
-    """
+    """Transform control points to the reference; points that cannot be placed are left out."""
     frames = {picked: _find_frame_index(picked, video.listed) for picked in points.frames}
     transforms, reasons = {}, {}
     for picked, index in frames.items():
@@ -186,11 +182,7 @@ def override_telemetry(
     yaw: float | None = None,
     focal_length: float | None = None,
 ) -> Video:
-    """Replace the height, heading or focal length that the telemetry of a video states.
-
-    Where a height or heading is given, a camera whose pitch is not stated is taken to look straight
-    down.
-    """
+    """Replace the height, heading or focal length that the telemetry of a video states."""
     given = {}
     if height is not None:
         given["height"] = height

@@ -140,10 +140,7 @@ def normalise_pixels(pixels: Points, size: tuple[int, int]) -> Points:
 def fit_similarity(
     points: Points, targets: Points, *, mirrored: bool = False
 ) -> tuple[Float[Array, "3 3"], float]:
-    """Fit a similarity by least squares, without the point that fits worst.
-
-    One point that is kilometres off would otherwise spoil the scale of everything that follows.
-    """
+    """Fit a similarity by least squares, without the point that fits worst."""
     z = points[:, 0] + 1j * points[:, 1]
     z = z.conj() if mirrored else z
     q = targets[:, 0] + 1j * targets[:, 1]

@@ -192,10 +192,7 @@ def _measure_motion(
     *,
     rounds: int,
 ) -> tuple[_Measurement, Motion, Float[Array, "N 2 2"]] | None:
-    """Fit the motion to the displacements by their precision (the third value).
-
-    None when there are too few of them, or they do not determine the motion.
-    """
+    """Fit the motion to the displacements by their precision (the third value)."""
     measured = _measure_displacements(template, grey, np.linalg.inv(reference_from_frame))
     if measured is None or measured.fitted.sum() < MIN_FITTED_PATCHES:
         return None

@@ -85,11 +85,7 @@ DetectionSource = str | Path | pd.DataFrame | Iterable[Any] | Callable[[Frame], 
 
 
 class BoxReader:
-    """Boxes that are read and judged: a function from a `Frame` to its boxes.
-
-    What the numbers mean is judged by the size of the first frame, and by the video where it is
-    known; `summary` says in a line what was found and assumed.
-    """
+    """Boxes that are read and judged: a function from a `Frame` to its boxes."""
 
     def __init__(
         self, raw: RawBoxes, source: str, options: BoxOptions, listed: FrameList | None = None

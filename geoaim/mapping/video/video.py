@@ -201,10 +201,7 @@ def _open_file(path: Path, threads: int | None) -> Video:
 
 
 def _read_sidecar(path: Path, quarter_turns: int) -> Telemetry | None:
-    """Telemetry from the .SRT file beside a video, or None.
-
-    The heading is left out where the video is turned for display, since it may be that of either.
-    """
+    """Telemetry from the .SRT file beside a video, or None."""
     sidecars = [path.with_suffix(suffix) for suffix in (".SRT", ".srt")]
     found = next((read_srt(sidecar) for sidecar in sidecars if sidecar.exists()), None)
     if found is None or quarter_turns % 4 == 0:
