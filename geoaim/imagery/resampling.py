@@ -33,7 +33,7 @@ class Stretch(NamedTuple):
 def estimate_stretch(
     rasters: Sequence[Raster], points: Mapping[str, Float[Array, "m 2"]]
 ) -> Stretch | None:
-    """Estimate the 1st and 99th percentile of rasters of more than 8 bits, jointly over all bands."""
+    """Estimate the 1st and 99th percentile of rasters of more than 8 bits, over all bands."""
     deep = [raster for raster in rasters if raster.dtype != "uint8"]
     samples = [np.empty(0, np.float32)]
     side = max(1, int(STRETCH_SAMPLES_PX / max(len(deep), 1) ** 0.5))

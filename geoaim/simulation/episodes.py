@@ -145,7 +145,7 @@ def _simulate_policy(
 
 
 def _simulate_idm(scene: Scene, controlled: Bool[Tensor, "A"], first: int, steps: int) -> Scene:
-    """Simulate intelligent drivers; routes and desired speeds come from the rest of the recording."""
+    """Simulate intelligent drivers; routes and desired speeds come from the recording."""
     scenario = simulator.make_scenario(scene, torch.tensor([first]), steps)
     rest = simulator.make_scenario(scene, torch.tensor([first]), len(scene.times) - first)
     routes, desired_speeds = extract_routes(rest), rest.states[..., 3].amax(dim=2)

@@ -113,7 +113,7 @@ def _parse_entry(text: str, remarks: dict[str, str]) -> dict[str, float]:
 
 
 def _parse_zoom(text: str) -> tuple[float, str]:
-    """Parse the digital zoom; with the problem, where fields contradict each other or are unknown."""
+    """Parse the digital zoom; with the problem, where fields contradict or are unknown."""
     zooms = {}
     for name, value in ZOOM.findall(text):
         written = value.rstrip(",")
