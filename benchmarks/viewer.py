@@ -31,7 +31,7 @@ from geoaim.tracks.tracks import Tracks
 from geoaim.web.explore import Contents, make_map_view
 from geoaim.web.map_view import MapView
 from geoaim.web.picking.page import make_picking_view
-from geoaim.web.picking.task import PickingTask
+from geoaim.web.picking.session import PickingTask
 from geoaim.web.server import ViewServer
 
 RESOLUTION_M = 0.05

@@ -21,7 +21,7 @@ from geoaim.mapping.video.video import read_frame
 from geoaim.tracks.changes import to_world
 from geoaim.web.explore import Contents, make_map_view
 from geoaim.web.picking.page import make_picking_view
-from geoaim.web.picking.task import PickingTask
+from geoaim.web.picking.session import PickingTask
 
 SAMPLES = Path("samples")
 TIME_S = 14.0

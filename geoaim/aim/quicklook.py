@@ -9,9 +9,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 
 from geoaim.aim.aim import AIM
-from geoaim.base.drift_plot import draw_drift
 from geoaim.base.labels import label_points
-from geoaim.base.map_axes import UNUSED_COLOUR, USED_COLOUR, draw_lines
+from geoaim.base.map_axes import UNUSED_COLOUR, USED_COLOUR, draw_drift, draw_lines
 
 MAP_INCHES, PANEL_INCHES = 8.0, 6.5  # height of the map, width of what stands beside it
 RESIDUAL_SCALES = (50, 20, 10, 5, 2, 1)  # residuals of control points are drawn as much longer

@@ -147,10 +147,11 @@ def _build(record: Record, local: Recording, folder: Path, progress: Progress) -
                 raise
             record = replace(record, status="refused", reason=str(error))
     messages = [str(warning.message) for warning in caught]
+    files = [] if record.status == "refused" else [folder / MAP, folder / LOOK]
     return replace(
         record,
         warnings=tuple(dict.fromkeys(messages)),
-        files={} if record.status == "refused" else describe_files(folder, [MAP, LOOK]),
+        files={file.name: OutputFile(file.stat().st_size, hash_file(file)) for file in files},
         seconds=round(time.perf_counter() - start, 3),
         processor_seconds=round(time.process_time() - processor_start, 3),
     )
@@ -216,13 +217,6 @@ def describe_grid(aim: AIM) -> Mapping[str, Any]:
         "transform": crs_from_image[:2].ravel().tolist(),
         "resolution_m": aim.resolution,
         "corners_lonlat": corners,
-    }
-
-
-def describe_files(folder: Path, names: Sequence[str]) -> dict[str, OutputFile]:
-    """Describe files of a folder by their sizes and checksums."""
-    return {
-        name: OutputFile((folder / name).stat().st_size, hash_file(folder / name)) for name in names
     }
 
 

@@ -24,13 +24,7 @@ from geoaim.catalog.verification import find_listing_problems, write_listing
 
 @dataclass(frozen=True)
 class RunPlan:
-    """What a run has to do.
-
-    Attributes:
-        tasks: recordings to build, the largest first.
-        unlisted: records of recordings whose files do not exist (refused) or cannot be listed
-            (failed).
-    """
+    """What a run has to do."""
 
     tasks: Sequence[Task] = ()
     unlisted: Sequence[Record] = ()

@@ -10,7 +10,7 @@ from geoaim.cli import options
 from geoaim.cli.console import print_result, report_errors
 from geoaim.cli.inputs import read_any_tracks
 from geoaim.cli.outputs import check_map_output
-from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
+from geoaim.imagery.alignment.result import DEFAULT_PRIOR, Prior
 
 if TYPE_CHECKING:
     from geoaim.imagery.alignment.pipeline import Shift

@@ -101,7 +101,7 @@ def pick(
     """
     from geoaim.base.world import LONLAT
     from geoaim.web.picking.page import make_picking_view
-    from geoaim.web.picking.task import read_task
+    from geoaim.web.picking.session import read_task
 
     with report_errors():
         check_output(output, (".csv",), [Path(video)])

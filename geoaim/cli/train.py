@@ -169,10 +169,7 @@ def _make_dataset(
     segment_duration: float | None,
     progress: Progress,
 ) -> "tuple[list[Scene], Dataset]":
-    """Read recordings, one or a table of them; segments to train on, and those of held-out agents.
-
-    The end of each recording is in neither part.
-    """
+    """Read one or several recordings; segments to train on, and those of held-out agents."""
     from geoaim.cli.inputs import read_scene_sources, read_scenes
     from geoaim.prediction.dataset import hold_out_agents, make_dataset
 

@@ -24,10 +24,7 @@ FRINGE_PX = 3  # width of the strip beside a collar that resampling and compress
 
 
 def hide_collars(aim: AIM, name: str | None) -> AIM:
-    """Give plain white or black at the edge of an image the coverage 0.
-
-    A warning names the image, unless `name` is None: tiles often are plain beyond the imagery.
-    """
+    """Give plain white or black at the edge of an image the coverage 0."""
     covered = aim.coverage > 0
     collars = find_collars(aim.image, covered) & covered
     share = collars.sum() / np.count_nonzero(covered)

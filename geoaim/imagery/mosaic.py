@@ -61,10 +61,7 @@ class ReadOptions(TypedDict, total=False):
 
 
 class Mosaic(NamedTuple):
-    """A mosaic, and which of its parts each pixel comes from.
-
-    Parts were placed each for itself: the files of a mosaic, or a service or folder of tiles.
-    """
+    """A mosaic, and which of its parts each pixel comes from."""
 
     aim: AIM
     # number of the part, from 1; 0 where nothing is; None where there is one part only
@@ -137,17 +134,7 @@ def read_mosaic(
     corners: Float[Array, "n 2"] | None = None,
     **options: Unpack[ReadOptions],
 ) -> Mosaic:
-    """Read imagery, and tell which part each pixel comes from.
-
-    Args:
-        sources: as in `read_imagery`.
-        world: as in `read_imagery`.
-        corners: as in `read_imagery`.
-        options: as in `read_imagery`.
-
-    Returns:
-        The image and its parts.
-    """
+    """Read imagery, and tell which part each pixel comes from."""
     with TemporaryDirectory(prefix="geoaim-") as folder:
         listed = write_objects(list_sources(sources), Path(folder))
         return _read_files(listed, world, corners, options)

@@ -33,11 +33,7 @@ class Stretch(NamedTuple):
 def estimate_stretch(
     rasters: Sequence[Raster], points: Mapping[str, Float[Array, "m 2"]]
 ) -> Stretch | None:
-    """Estimate the 1st and 99th percentile of rasters of more than 8 bits, jointly over all bands.
-
-    About a million pixels are read within the bounds of `points`, which has (m, 2) points for each
-    CRS of the rasters. None when all rasters have 8 bits, or no valid pixel can be read there.
-    """
+    """Estimate the 1st and 99th percentile of rasters of more than 8 bits, over all bands."""
     deep = [raster for raster in rasters if raster.dtype != "uint8"]
     samples = [np.empty(0, np.float32)]
     side = max(1, int(STRETCH_SAMPLES_PX / max(len(deep), 1) ** 0.5))
@@ -70,26 +66,7 @@ def resample_raster(
     shape: tuple[int, int],
     stretch: Stretch | None,
 ) -> tuple[slice, slice, Float32[Array, "4 h w"]] | None:
-    """Resample a raster to a block of the image by cubic convolution over its valid pixels.
-
-    Colours are weighted sums that are not divided by the sum of the weights, which is alpha. Those
-    of adjacent rasters therefore add up to what one raster of both would have given. A raster that
-    is finer than the block is first averaged over cells of whole pixels, from its overviews if it
-    has any.
-
-    Args:
-        raster: what to resample.
-        raster_from_block: (3, 3) pixels of the block to pixels of the raster.
-        shape: height and width of the block.
-        stretch: maps the raster's values to 8 bits; None for a raster of 8 bits.
-
-    Returns:
-        The rows and the columns of the block that the raster covers, and for these (4, h, w) red,
-        green and blue in [0, 255] times alpha, and alpha in [0, 1]; None if it covers none.
-
-    Raises:
-        ImageryError: the raster cannot be read.
-    """
+    """Resample a raster to a block of the image by cubic convolution over its valid pixels."""
     pixels = transform_points(raster_from_block, image_corners(*shape))
     steps = np.linalg.norm(raster_from_block[:2, :2], axis=1)  # raster pixels per block pixel
     cell = np.maximum(1.0, np.floor(steps + 1e-3))
@@ -162,25 +139,20 @@ def _read(
     raster: Raster, window: Window, shape: tuple[int, int], method: Resampling
 ) -> tuple[Float32[Array, "C h w"], Float32[Array, "h w"]]:
     """Values and alpha in [0, 1] of a window, resampled to (rows, columns)."""
-    with open_raster(raster.path, raster.options) as dataset:
-        return _read_window(dataset, raster, window, shape, method)
-
-
-def _read_window(
-    dataset: Any, raster: Raster, window: Window, shape: tuple[int, int], method: Resampling
-) -> tuple[Float32[Array, "C h w"], Float32[Array, "h w"]]:
     bands = list(raster.bands)
     part = {"window": window, "out_shape": (len(bands), *shape)}
-    palette = dataset.colorinterp[bands[0] - 1] == ColorInterp.palette
-    if palette:
-        method = Resampling.nearest  # the mean of two indices is a third colour
-    values = dataset.read(bands, **part, resampling=method, out_dtype="float32")
-    alpha = _read_alpha(dataset, values, bands, part, method)
+    with open_raster(raster.path, raster.options) as dataset:
+        palette = dataset.colorinterp[bands[0] - 1] == ColorInterp.palette
+        if palette:
+            method = Resampling.nearest  # the mean of two indices is a third colour
+        values = dataset.read(bands, **part, resampling=method, out_dtype="float32")
+        alpha = _read_alpha(dataset, values, bands, part, method)
+        named = dataset.colormap(bands[0]) if palette else {}
     if raster.nodata is not None and not raster.masked:
         alpha = alpha * (values != np.float32(raster.nodata)).any(axis=0)
     if palette:
         colours = np.zeros((256, 4), np.float32)
-        for index, colour in dataset.colormap(bands[0]).items():
+        for index, colour in named.items():
             colours[index & 255] = colour
         expanded = colours[values[0].astype(int) & 255]
         values, alpha = np.moveaxis(expanded[..., :3], -1, 0), alpha * expanded[..., 3] / 255

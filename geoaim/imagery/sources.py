@@ -17,11 +17,9 @@ from rasterio.io import DatasetReader
 from rasterio.vrt import WarpedVRT
 
 from geoaim.base.errors import GeoaimWarning, ImageryError, name_option, warn
-from geoaim.base.limits import refuse_damaged
+from geoaim.base.limits import open_sqlite, refuse_damaged
 from geoaim.base.raster_files import IMAGE_DRIVERS
-from geoaim.base.sqlite_files import open_sqlite
 from geoaim.base.texts import hide_credentials
-from geoaim.imagery.addresses import is_address, normalise_address
 from geoaim.imagery.collars import leave_out_placeholders
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
 from geoaim.imagery.tile_schemes import check_mbtiles, read_scheme
@@ -36,7 +34,9 @@ from geoaim.imagery.tiles import (
     compute_world_fractions,
     georeference_tile,
     intersect_tiles,
+    is_address,
     list_tiles,
+    normalise_address,
 )
 
 GEOTIFF_SUFFIXES = {".tif", ".tiff"}

@@ -11,8 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.base.errors import ImageryError
-from geoaim.base.limits import refuse_damaged
-from geoaim.base.sqlite_files import open_sqlite
+from geoaim.base.limits import open_sqlite, refuse_damaged
 from geoaim.base.world import LONLAT, transform_crs
 from geoaim.imagery.tiles import HALF_WORLD_M
 

@@ -18,7 +18,7 @@ from geoaim.base.errors import ImageryError, name_option
 from geoaim.base.files import atomic_write
 from geoaim.base.raster_files import open_raster_file
 from geoaim.base.texts import hide_credentials
-from geoaim.imagery.addresses import make_quadkey
+from geoaim.imagery.tiles import make_quadkey
 
 CONNECTIONS = 4
 TIMEOUT_S = 20

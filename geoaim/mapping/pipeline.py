@@ -174,11 +174,7 @@ def _register_and_average(
     *,
     photos: bool,
 ) -> tuple[register.Registration, Background]:
-    """Register the frames, find traffic in small copies, and average the rest, twice over them.
-
-    With detections, too few frames for that are averaged without their boxes; too few photos of a
-    flight that overlap with the reference are averaged as they are, and all ground is contested.
-    """
+    """Register the frames, find traffic in small copies, and average the rest, twice over them."""
     size = reference.height, reference.width
     search = TrafficSearch(size, detections)
     mean = RunningMean(size, detections, sample.bands)

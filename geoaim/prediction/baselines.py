@@ -12,8 +12,7 @@ from torch import Tensor
 
 from geoaim.prediction.segments import Segments, make_segment_scenario, mark_entries, repeat
 from geoaim.rendering.ground import Ground
-from geoaim.simulation.policies import constant_turn_rate, constant_velocity
-from geoaim.simulation.simulator import Policy, rollout
+from geoaim.simulation.simulator import Policy, constant_turn_rate, constant_velocity, rollout
 
 HEADING_NOISE_RAD, SPEED_NOISE = 0.3, 0.3  # standard deviations; of speed, as a share of it
 

@@ -148,15 +148,11 @@ def collate_boxes(layers: Sequence[OrientedBoxes]) -> OrientedBoxes:
 
 def _expand(layer: OrientedBoxes) -> dict[str, Tensor]:
     """Expand all tensors of a layer to (B, A, ...)."""
+    names = [field.name for field in fields(layer) if getattr(layer, field.name) is not None]
     shape = layer.poses.shape[:2]
-    tensors = {"poses": layer.poses, "sizes": layer.sizes, "colours": layer.colours}
-    if layer.heading_colours is not None:
-        tensors["heading_colours"] = layer.heading_colours
-    expanded = {name: value.expand(*shape, value.shape[-1]) for name, value in tensors.items()}
-    present = layer.present
-    if present is None:
-        present = torch.ones(shape, dtype=torch.bool, device=layer.poses.device)
-    return {**expanded, "present": present.expand(shape)}
+    expanded = {name: _broadcast(name, layer) for name in names if name != "present"}
+    tensors = {name: value.expand(*shape, value.shape[-1]) for name, value in expanded.items()}
+    return {**tensors, "present": _get_present(layer)}
 
 
 def _pad(values: Tensor, count: int) -> Tensor:

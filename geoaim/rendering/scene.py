@@ -273,10 +273,11 @@ def check_touches_map(name: str, points: Float[Array, "n 2"], bounds: Float[Arra
     """
     low, high = bounds
     if not ((points > low) & (points < high)).all(axis=1).any():
+        ends = points.min(axis=0), points.max(axis=0), low, high
+        first, last, left, right = (f"({x:.0f}, {y:.0f})" for x, y in ends)
         raise TracksError(
-            f"no {name} touches the map: they lie between {_format_point(points.min(axis=0))} and "
-            f"{_format_point(points.max(axis=0))} m, the map between {_format_point(low)} and "
-            f"{_format_point(high)} m. Do both show the same place?"
+            f"no {name} touches the map: they lie between {first} and {last} m, the map between "
+            f"{left} and {right} m. Do both show the same place?"
         )
 
 
@@ -318,7 +319,3 @@ def _sample_light_states(lights: Lights, tracks: Tracks) -> Int[Array, "T L"]:
             f"{tracks.times[-1]:g} s. Are both from the same recording?"
         )
     return states
-
-
-def _format_point(point: Float[Array, "2"]) -> str:
-    return f"({point[0]:.0f}, {point[1]:.0f})"

@@ -31,13 +31,6 @@ class MeshRenderer(BirdviewRenderer):  # type: ignore[misc]
 
     The simulator's background mesh is painted too: give it one without the road, which the image
     shows. Pictures are differentiable with respect to cameras, vertices and colours.
-
-    Args:
-        ground: the map, in the simulator's coordinates, with three channels from 0 to 1.
-        cfg: torchdrivesim's own configuration, of which left_handed_coordinates is used.
-        base: arguments of `BirdviewRenderer`: res, fov, color_map, rendering_levels. batch_size,
-            device, static_mesh and world_center of version 0.2.3 are not needed any more and have
-            no effect.
     """
 
     def __init__(self, ground: Ground, cfg: RendererConfig | None = None, **base: Any) -> None:
@@ -79,14 +72,7 @@ WAYPOINT_SIDE_M = 2.0 * math.sqrt(math.pi)  # side of a square as large as torch
 
 
 class FrameRenderer(BirdviewRenderer):  # type: ignore[misc]
-    """A torchdrivesim renderer of an image map, differentiable with respect to poses and cameras.
-
-    Args:
-        ground: the map, in the simulator's coordinates, with three channels from 0 to 1.
-        cfg: torchdrivesim's own configuration, of which render_agent_direction,
-            highlight_ego_vehicle and left_handed_coordinates are used.
-        base: arguments of `BirdviewRenderer`: batch_size, res, fov, color_map, ...
-    """
+    """Renders an image map for torchdrivesim, differentiable by poses and cameras."""
 
     def __init__(self, ground: Ground, cfg: RendererConfig | None = None, **base: Any) -> None:
         super().__init__(cfg or RendererConfig(), **{"device": ground.image.device, **base})

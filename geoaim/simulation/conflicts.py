@@ -109,11 +109,7 @@ def _place_boxes(points: Float[Array, "P 2"], length: float, size: Float[Array, 
 
 
 def _find_parts(first: _Places, second: _Places) -> Float[Array, "n 8"]:
-    """Find the conflicts of two routes.
-
-    Their columns: both starts, both ends, 1 for routes with the same direction and -1 for opposite
-    ones, offset, slope and reach.
-    """
+    """Find the conflicts of two routes."""
     reach = np.linalg.norm(first.half) + np.linalg.norm(second.half)
     low = np.maximum(first.centres.min(axis=0), second.centres.min(axis=0)) - reach
     high = np.minimum(first.centres.max(axis=0), second.centres.max(axis=0)) + reach

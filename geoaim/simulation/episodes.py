@@ -11,10 +11,10 @@ from geoaim.base.errors import TracksError
 from geoaim.rendering.scene import Scene, find_agent, find_step, slice_scene
 from geoaim.simulation import simulator
 from geoaim.simulation.idm import make_idm_policy
-from geoaim.simulation.policies import constant_turn_rate, constant_velocity
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, check_rules
 from geoaim.simulation.routes import extract_routes
 from geoaim.simulation.scene_infractions import detect_infractions
+from geoaim.simulation.simulator import constant_turn_rate, constant_velocity
 from geoaim.simulation.spawning import rollout_routes
 from geoaim.tracks.agent_types import select_group
 
@@ -145,10 +145,7 @@ def _simulate_policy(
 
 
 def _simulate_idm(scene: Scene, controlled: Bool[Tensor, "A"], first: int, steps: int) -> Scene:
-    """Simulate intelligent drivers; routes and desired speeds come from the rest of the recording.
-
-    Lights are those of the simulated steps.
-    """
+    """Simulate intelligent drivers; routes and desired speeds come from the recording."""
     scenario = simulator.make_scenario(scene, torch.tensor([first]), steps)
     rest = simulator.make_scenario(scene, torch.tensor([first]), len(scene.times) - first)
     routes, desired_speeds = extract_routes(rest), rest.states[..., 3].amax(dim=2)

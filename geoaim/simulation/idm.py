@@ -128,10 +128,7 @@ MAX_CROSSINGS = 3  # crossings of a route with a stop line at most; two segments
 def intersect_stop_lines(
     routes: Float[Tensor, "B A P 2"], lines: Float[Tensor, "L 2 2"]
 ) -> Float[Tensor, "B A C L"]:
-    """Find where routes cross stop lines: metres along the route at up to C first crossings.
-
-    Crossings that do not exist are infinite.
-    """
+    """Find where routes cross stop lines: metres along the route at up to C first crossings."""
     start, segment = routes[:, :, :-1, None], routes.diff(dim=2)[:, :, :, None]
     length, line = segment.norm(dim=-1), lines[:, 1] - lines[:, 0]
     offset, denominator = lines[:, 0] - start, cross(segment, line)

@@ -143,17 +143,7 @@ def detect_red_light_running(
 def detect_wrong_way(
     lanes: Lanes, poses: Float[Tensor, "... 3"], present: Bool[Tensor, "..."]
 ) -> tuple[Bool[Tensor, "..."], Bool[Tensor, "..."]]:
-    """Mark agents whose heading follows none of the one-way lanes that they are on.
-
-    Args:
-        lanes: directions of one-way lanes.
-        poses: (..., 3) x, y, heading.
-        present: (...).
-
-    Returns:
-        (...) agents that drive the wrong way; (...) agents on any one-way lane, the only ones
-        that are judged.
-    """
+    """Mark agents whose heading follows none of the one-way lanes that they are on."""
     safe = check_poses(poses, present).reshape(*lanes.points.shape[:-2], -1, 3)
     exact = "donot_use_mm_for_euclid_dist"  # matrix products are inexact far from the origin
     distances = torch.cdist(safe[..., :2], lanes.points.to(safe), compute_mode=exact)

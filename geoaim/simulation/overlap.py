@@ -30,17 +30,6 @@ def compute_intersection_area(
 ) -> Float[Tensor, "n"]:
     """Compute the area of the intersection of each pair of boxes.
 
-    The outline of the intersection consists of the pieces of either box's edges inside the other
-    box. Half the sum of the cross products of these pieces' ends is the area (Green's theorem).
-    It is computed in float64, so that rounding does not matter where edges nearly coincide.
-
-    Args:
-        poses: (n, 2, 3) x and y, metres, and heading, radians, of both boxes.
-        sizes: (n, 2, 2) length and width, metres.
-
-    Returns:
-        (n,) square metres.
-
     >>> poses = torch.tensor([[[0.0, 0.0, 0.0], [3.0, 0.5, 0.0]]])
     >>> round(float(compute_intersection_area(poses, torch.tensor([[[4.0, 2.0], [4.0, 2.0]]]))), 3)
     1.5
@@ -59,21 +48,7 @@ def compute_intersection_area(
 def box_iou(
     poses: Float[Tensor, "B A 3"], sizes: Float[Tensor, "B A 2"], present: Bool[Tensor, "B A"]
 ) -> Float[Tensor, "B A A"]:
-    """Compute the intersection over union of all pairs of boxes in each scene.
-
-    Only pairs whose circumscribed circles intersect are evaluated.
-
-    Args:
-        poses: (B, A, 3) x, y, heading.
-        sizes: (B, A, 2) length and width, metres.
-        present: (B, A); poses of absent boxes may be NaN.
-
-    Returns:
-        (B, A, A) from 0 to 1; 0 for a box with itself and for absent boxes.
-
-    Raises:
-        ValueError: the pose of a present box is not finite.
-    """
+    """Compute the intersection over union of all pairs of boxes in each scene."""
     count = poses.shape[1]
     safe = check_poses(poses, present)
     radius = torch.where(present, sizes.norm(dim=-1), -torch.inf) / 2
@@ -116,10 +91,7 @@ def _clip_edges(
     poses: Float[Tensor, "n 2 3"],
     sizes: Float[Tensor, "n 2 2"],
 ) -> tuple[Float[Tensor, "n 2 4"], Float[Tensor, "n 2 4"]]:
-    """Clip edges at boxes: the shares of each edge at which it enters and leaves its box.
-
-    Liang and Barsky 1984.
-    """
+    """Clip edges at boxes: the shares of each edge at which it enters and leaves its box."""
     forward = torch.stack([poses[..., 2:].cos(), poses[..., 2:].sin()], dim=-1)
     origin, direction = (  # forward and left in the box's frame
         torch.stack([(forward * vector).sum(-1), cross(forward, vector)], dim=-1)

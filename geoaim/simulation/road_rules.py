@@ -165,7 +165,7 @@ def make_drivable(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
     Raises:
         MapError: the area is empty or too narrow, or lies too far from the world's origin.
     """
-    from geoaim.hdmap.signed_distance import compute_signed_distance  # needs OpenCV and rasterio
+    from geoaim.hdmap.drivable import compute_signed_distance  # needs OpenCV and rasterio
 
     check_near_origin("drivable area", np.array(area.bounds).reshape(2, 2))
     distance, grid = compute_signed_distance(area, resolution=resolution)
@@ -174,11 +174,7 @@ def make_drivable(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
 
 
 def make_lanes(hdmap: HDMap) -> Lanes:
-    """Sample the directions of a map's one-way lanes along their centre lines.
-
-    Raises:
-        MapError: the lanes lie too far from the world's origin.
-    """
+    """Sample the directions of a map's one-way lanes along their centre lines."""
     arrays = sample_lane_directions(hdmap)
     check_near_origin("HD map", arrays[0])
     return Lanes(*(torch.tensor(array, dtype=torch.float32) for array in arrays))

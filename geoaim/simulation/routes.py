@@ -16,11 +16,7 @@ MIN_SEGMENT_M = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Routes:
-    """The routes of all agents, as points every `ROUTE_SPACING_M`.
-
-    Shorter routes are extended straight on to the length of the longest. The route of an agent that
-    hardly moves leads straight ahead.
-    """
+    """The routes of all agents, as points every `ROUTE_SPACING_M`."""
 
     points: Float[Tensor, "B A P 2"]  # metres in the world
     lengths: Float[Tensor, "B A"]  # metres to the recorded end, before the extension
@@ -81,11 +77,7 @@ def _select_spaced(
 def locate(
     points: Float[Tensor, "B A P 2"], positions: Float[Tensor, "B A 2"]
 ) -> Float[Tensor, "B A"]:
-    """Find how far along its own route each agent is: the place nearest to it, metres.
-
-    Places are on the line through the nearest point of the route and the next one, which extends
-    beyond both ends.
-    """
+    """Find how far along its own route each agent is: the place nearest to it, metres."""
     with torch.no_grad():
         coarse = _find_nearest(points[:, :, ::COARSE_STRIDE], positions)[..., None]
         window = coarse * COARSE_STRIDE + torch.arange(

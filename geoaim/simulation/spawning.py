@@ -83,10 +83,7 @@ def _find_room(
     present: Bool[Tensor, "B A"],
     sizes: Float[Tensor, "B A 2"],
 ) -> Bool[Tensor, "B A"]:
-    """Mark those due agents whose ground neither a present agent nor an earlier due one needs.
-
-    The ground of an agent is its box, reaching as far ahead as it needs to stop.
-    """
+    """Mark those due agents whose ground neither a present agent nor an earlier due one needs."""
     states = torch.where(due[..., None], entries.states, states)
     x, y, heading, speed = states.unbind(-1)
     room = ENTRY_GAP_M + speed.clamp_min(0).square() / (2 * ENTRY_DECELERATION_MPS2)

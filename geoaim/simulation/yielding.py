@@ -153,10 +153,7 @@ def _find_first(plan: Plan, waits: Bool[Tensor, "E"]) -> Bool[Tensor, "E"]:
 def _find_near(
     plan: Plan, agents: Encounters, now: _Reserved, wanted: _Reserved
 ) -> Bool[Tensor, "E"]:
-    """Mark conflicts in which an agent could not stop behind a leader or before an oncoming one.
-
-    Likewise those in which it would merge ahead of one that could not stop.
-    """
+    """Mark conflicts in which an agent could not stop behind a leader or before an oncoming one."""
     ways = plan.conflicts
     # change of the room once the other one has stopped
     change = ways.slope * swap(now.stop - agents.place)
@@ -182,10 +179,7 @@ def _find_queues(
 def _find_emergencies(
     plan: Plan, agents: Encounters, inside: Bool[Tensor, "E"], early: Bool[Tensor, "E"]
 ) -> Bool[Tensor, "E"]:
-    """Mark crossings that both have reserved, before which an agent can still stop.
-
-    Where both can, only one stops, so that they do not wait for each other.
-    """
+    """Mark crossings that both have reserved, before which an agent can still stop."""
     ways = plan.conflicts
     both = inside & (swap(inside) | early) & ~ways.follows
     stop = agents.place + agents.pace.square() / (2 * MAX_DECELERATION_MPS2)

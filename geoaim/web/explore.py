@@ -1,5 +1,6 @@
 """Make the view of a map and its traffic that a page, a widget or an HTML file shows."""
 
+import json
 import os
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -112,7 +113,7 @@ def make_map_view(aim: MapSource, contents: Contents, stack: ExitStack) -> MapVi
         description={
             "kind": "view",
             "title": title,
-            "extent": map_layers.find_extent([grid.corners]),
+            "extent": [*grid.corners.min(axis=0).tolist(), *grid.corners.max(axis=0).tolist()],
             "lonlat": map_layers.describe_lonlat(world, grid.corners),
             "pixels_from_world": grid.grid_from_world.tolist(),
             "rasters": items,
@@ -160,7 +161,7 @@ def _describe_aim(rasters: dict[str, TiledRaster], most: float) -> list[dict[str
     layers: tuple[tuple[str, str, dict[str, Any]], ...] = (
         ("AIM", "aim_image", {}),
         ("frames per pixel", "aim_coverage", {"legend": map_layers.describe_legend(most)}),
-        ("contested", "aim_contested", {"colour": map_layers.get_contested_colour()}),
+        ("contested", "aim_contested", {"colour": map_layers.CONTESTED_HEX}),
     )
     return [
         map_layers.describe_raster(name, path, rasters[path], visible=not options, **options)
@@ -212,10 +213,14 @@ def _add_moving(view: MapView, aim: MapSource, contents: Contents, world: World)
         return make_scene(whole, tracks, contents.lights)
 
     rules = make_road_rules(contents.hdmap, contents.drivable, world=world)
+
+    def encode_infractions() -> bytes:
+        return json.dumps(moving_layers.list_infractions(get_scene(), rules)).encode()
+
     description |= {"marks": "marks.json", "agent_views": True}
     return replace(
         view,
         description=description,
-        data={**data, "marks.json": moving_layers.encode_infractions(get_scene, rules)},
+        data={**data, "marks.json": encode_infractions},
         agent_view=lambda agent, step: moving_layers.render_model_view(get_scene(), agent, step),
     )

@@ -1,6 +1,6 @@
 """Map layers of the viewer: an AIM, imagery, HD map, and places of points."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -18,7 +18,7 @@ from geoaim.base.world import World, lonlat_from_world
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.web.tiles import Colours, TiledRaster, tile_array, tile_dataset
 
-CONTESTED_COLOUR = (255, 0, 200, 170)
+CONTESTED_COLOUR, CONTESTED_HEX = (255, 0, 200, 170), "#ff00c8"
 COVERAGE_ALPHA = 200
 COVERAGE_COLOURS = (matplotlib.colormaps["magma"](np.arange(256))[:, :3] * 255).astype(np.uint8)
 LEGEND_STEPS = 9  # colours of a legend; between them it is linear
@@ -96,11 +96,6 @@ def describe_legend(most: float) -> Description:
     return {"from": 0, "to": round(most), "unit": "frames", "colours": colours}
 
 
-def get_contested_colour() -> str:
-    """Get the colour of `colour_contested`, for a legend."""
-    return to_hex(tuple(np.array(CONTESTED_COLOUR[:3]) / 255))
-
-
 def describe_lines(hdmap: HDMap) -> list[Description]:
     """Describe the lines of an HD map by their kind, in its world."""
     kinds: dict[str, list[list[list[float]]]] = {}
@@ -138,12 +133,6 @@ def describe_lonlat(world: World, points: Float[Array, "n 2"]) -> Description | 
     lonlat = lonlat_from_world(world, center + scale * np.stack([u, v], axis=1))
     coefficients = np.linalg.lstsq(terms, lonlat, rcond=None)[0].T
     return {"center": center.tolist(), "scale": scale, "coefficients": coefficients.tolist()}
-
-
-def find_extent(corners: Iterable[Float[Array, "n 2"]]) -> list[float]:
-    """Find the least rectangle around points: left, bottom, right, top."""
-    points = np.concatenate(list(corners))
-    return [*points.min(axis=0).tolist(), *points.max(axis=0).tolist()]
 
 
 def _round(points: Float[Array, "n 2"]) -> list[list[float]]:

@@ -1,6 +1,5 @@
 """Moving layers of the viewer: tracks, traffic lights, futures and infractions."""
 
-import json
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -149,11 +148,6 @@ def list_infractions(scene: Scene, rules: RoadRules) -> list[dict[str, Any]]:
                 time = round(float(part.times[step + 1]), 6)
                 marks.append({"time": time, "agent": scene.ids[agent], "kind": kind})
     return sorted(marks, key=lambda mark: float(mark["time"]))
-
-
-def encode_infractions(scene: Callable[[], Scene], rules: RoadRules) -> Callable[[], bytes]:
-    """Make the function that searches for infractions, and gives them as JSON."""
-    return lambda: json.dumps(list_infractions(scene(), rules)).encode()
 
 
 def render_model_view(scene: Scene, agent_id: str, step: int) -> bytes:

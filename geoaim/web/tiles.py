@@ -23,12 +23,7 @@ ReadBlock = Callable[[tuple[int, int], tuple[int, int], tuple[int, int]], Colour
 
 @dataclass(frozen=True, eq=False)
 class TiledRaster:
-    """A north-up raster whose blocks are read when they are wanted.
-
-    Attributes:
-        grid: its pixels at full resolution, north up.
-        read_block: reads a block, shrunk to a size.
-    """
+    """A north-up raster whose blocks are read when they are wanted."""
 
     grid: Grid
     read_block: ReadBlock

@@ -19,7 +19,7 @@ from geoaim.web.explore import (
 )
 from geoaim.web.map_view import MapView, read_module
 from geoaim.web.picking.page import make_picking_view
-from geoaim.web.picking.task import read_task
+from geoaim.web.picking.session import read_task
 
 
 def explore(

@@ -13,13 +13,11 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 import geoaim
 from geoaim.base.displays import Display
-from geoaim.base.drift_plot import draw_drift
 from geoaim.base.errors import GeoreferenceError
 from geoaim.base.geometry import translation
 from geoaim.base.labels import label_points
-from geoaim.base.map_axes import add_legend, add_scale_bar, draw_lines, move_to_axes
+from geoaim.base.map_axes import add_legend, add_scale_bar, draw_drift, draw_lines, move_to_axes
 from geoaim.base.world import World, change_world, world_from_lonlat
-from geoaim.imagery.alignment.result import ImageryAlignment
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.registration.register import register
@@ -34,15 +32,13 @@ def shown() -> dict[str, Display]:
     hdmap = geoaim.read_hdmap("samples/map.osm")
     lights = geoaim.read_lights("samples/lights.csv", hdmap.stop_lines, hdmap.world)
     aim = geoaim.draw_hdmap(hdmap, resolution=0.5)
-    covariance = np.diag([0.2, 0.1])
-    alignment = ImageryAlignment(np.eye(3), "translation", covariance, np.zeros(2))
     images = [frame.image for frame in geoaim.open_video("samples/hover.mp4").sample(2)]
     scene = geoaim.make_scene(aim, tracks, lights)
-    found = [aim, tracks, hdmap, lights, alignment, register(images), scene]
+    found = [aim, tracks, hdmap, lights, register(images), scene]
     return {type(one).__name__: one for one in found}
 
 
-KINDS = ["AIM", "HDMap", "ImageryAlignment", "Lights", "Registration", "Scene", "Tracks"]
+KINDS = ["AIM", "HDMap", "Lights", "Registration", "Scene", "Tracks"]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,7 +1,11 @@
+from pathlib import Path
+
+import fsspec
 import pytest
 
 from geoaim.base.errors import CatalogError
 from geoaim.catalog import read_recordings
+from geoaim.catalog.recordings import Recording, fetch_inputs, list_inputs
 from geoaim.mapping.build_map import MapSettings
 
 
@@ -62,3 +66,18 @@ def test_commas_at_the_end_of_lines_shift_no_columns(tmp_path):
 def test_a_missing_table_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nowhere\.csv"):
         read_recordings(tmp_path / "nowhere.csv")
+
+
+@pytest.mark.parametrize(
+    ("video", "fetched", "count"),
+    [("a.mp4", "video/a.mp4", 1), ("photos", "video", 2), ("photos/*.png", "video/*.png", 1)],
+)
+def test_a_file_a_folder_and_a_pattern_of_a_store_are_fetched(tmp_path, video, fetched, count):
+    store = fsspec.filesystem("memory")
+    for name in ("a.mp4", "photos/a.png", "photos/b.jpg", "photos/notes.md"):
+        store.pipe_file(f"/recordings/{name}", name.encode())
+    recording = Recording("a", f"memory://recordings/{video}")
+    local, paths = fetch_inputs(recording, list_inputs(recording), tmp_path)
+    assert Path(local.video) == tmp_path / fetched
+    assert len(paths) == count
+    assert all(path.read_bytes().decode().endswith(path.name) for path in paths)

@@ -66,40 +66,36 @@ def _write_video(path: Path, picture: np.ndarray) -> None:
         container.mux(stream.encode(None))
 
 
-@pytest.mark.parametrize(
-    ("command", "asks"),
-    [
-        ("build mavic.mp4 -o a.tif", {"--yaw", "--focal-length", "--gcps"}),
-        ("build mavic.mp4 --yaw 61 --height 112 -o a.tif", {"--focal-length", "--gcps"}),
-        ("build air.mp4 --yaw 0 -o a.tif", {"--height", "--gcps"}),
-        ("build air.mp4 --yaw 0 --focal-length 24 -o a.tif", {"--height", "--gcps"}),
-        ("build photos --height 80 -o a.tif", {"--yaw", "--gcps"}),
-        ("build still.png -o a.tif", {"--gcps", "--frame-resolution", "--resolution"}),
-        ("build still.png --gcps points.csv -o a.tif", set()),
-        ("build still.png --resolution 1 --detections labels -o a.tif", set()),
-        (f"align '{TILES}' -o a.tif", {"--aim", "--tracks"}),
-        (f"align '{TILES}' --resolution 0.2 -o a.tif", {"--aim", "--tracks"}),
-        ("align 'https://127.0.0.1:9/tiles' -o a.tif", set()),
-        ("align still.png --zoom 18 -o a.tif", {"--zoom"}),
-        ("convert geotrax.csv -o a.csv", {"--tracks-frame-rate"}),
-        ("convert annotations.txt -o a.csv", {"--tracks-resolution"}),
-        ("convert geotrax.csv --tracks-resolution 1 -o a.csv", {"--tracks-resolution"}),
-    ],
-)
-def test_messages_name_options_that_exist_and_are_not_given(
-    folder: Path, command: str, asks: set[str]
-) -> None:
-    words = shlex.split(command)
-    result = CliRunner().invoke(app, words)
-    message = " ".join(result.output.split())
-    assert result.exit_code == 1, message
-    named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", message))
-    known = {option for item in _list_parameters(words[0]) for option in item.opts}
-    assert named <= known
-    assert named >= asks
-    omitted = "omit" in message
-    assert omitted or not named & set(words), message
-    assert not re.search(r"\w=\.\.\.|Tiles\(|\w+=(?=[ ,;)]|$)", message), message
+CASES = [
+    ("build mavic.mp4 -o a.tif", {"--yaw", "--focal-length", "--gcps"}),
+    ("build mavic.mp4 --yaw 61 --height 112 -o a.tif", {"--focal-length", "--gcps"}),
+    ("build air.mp4 --yaw 0 -o a.tif", {"--height", "--gcps"}),
+    ("build air.mp4 --yaw 0 --focal-length 24 -o a.tif", {"--height", "--gcps"}),
+    ("build photos --height 80 -o a.tif", {"--yaw", "--gcps"}),
+    ("build still.png -o a.tif", {"--gcps", "--frame-resolution", "--resolution"}),
+    ("build still.png --gcps points.csv -o a.tif", set()),
+    ("build still.png --resolution 1 --detections labels -o a.tif", set()),
+    (f"align '{TILES}' -o a.tif", {"--aim", "--tracks"}),
+    (f"align '{TILES}' --resolution 0.2 -o a.tif", {"--aim", "--tracks"}),
+    ("align 'https://127.0.0.1:9/tiles' -o a.tif", set()),
+    ("align still.png --zoom 18 -o a.tif", {"--zoom"}),
+    ("convert geotrax.csv -o a.csv", {"--tracks-frame-rate"}),
+    ("convert annotations.txt -o a.csv", {"--tracks-resolution"}),
+    ("convert geotrax.csv --tracks-resolution 1 -o a.csv", {"--tracks-resolution"}),
+]
+
+
+def test_messages_name_options_that_exist_and_are_not_given(folder: Path) -> None:
+    for command, asks in CASES:
+        words = shlex.split(command)
+        result = CliRunner().invoke(app, words)
+        message = " ".join(result.output.split())
+        assert result.exit_code == 1, message
+        named = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", message))
+        known = {option for item in _list_parameters(words[0]) for option in item.opts}
+        assert asks <= named <= known, message
+        assert "omit" in message or not named & set(words), message
+        assert not re.search(r"\w=\.\.\.|Tiles\(|\w+=(?=[ ,;)]|$)", message), message
 
 
 def _list_parameters(command: str) -> list[Any]:

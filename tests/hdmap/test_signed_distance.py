@@ -4,8 +4,8 @@ from shapely import MultiPolygon, box
 
 from geoaim.base.errors import GeoaimWarning, MapError
 from geoaim.base.geometry import transform_points
-from geoaim.hdmap import signed_distance
-from geoaim.hdmap.signed_distance import compute_signed_distance
+from geoaim.hdmap import drivable
+from geoaim.hdmap.drivable import compute_signed_distance
 
 
 def test_distance_is_negative_on_the_road():
@@ -22,7 +22,7 @@ def test_distance_of_nothing_is_refused():
 
 
 def test_distance_of_a_large_area_is_coarser(monkeypatch):
-    monkeypatch.setattr(signed_distance, "MAX_CELLS", 1000)
+    monkeypatch.setattr(drivable, "MAX_CELLS", 1000)
     with pytest.warns(GeoaimWarning, match=r"70 x 46 m are too large.*computed every 1\.8 m"):
         distance, _ = compute_signed_distance(MultiPolygon([box(0, 0, 30, 6)]), resolution=0.2)
     assert distance.size < 1200

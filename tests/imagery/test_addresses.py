@@ -5,8 +5,8 @@ import re
 import pytest
 
 from geoaim.base.errors import ImageryError
-from geoaim.imagery.addresses import is_address, normalise_address
 from geoaim.imagery.tile_service import _make_url
+from geoaim.imagery.tiles import is_address, normalise_address
 
 
 @pytest.mark.parametrize(

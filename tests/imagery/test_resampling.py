@@ -144,13 +144,13 @@ WIDE = (1024, 1024), 15.0
 @pytest.fixture
 def read_pixels(monkeypatch):
     """The numbers of pixels in the windows that are read from rasters from now on."""
-    counts, read = [], resampling._read_window
+    counts, read = [], resampling._read
 
-    def note(dataset, raster, window, *rest):
+    def note(raster, window, *rest):
         counts.append(window.width * window.height)
-        return read(dataset, raster, window, *rest)
+        return read(raster, window, *rest)
 
-    monkeypatch.setattr(resampling, "_read_window", note)
+    monkeypatch.setattr(resampling, "_read", note)
     return counts
 
 

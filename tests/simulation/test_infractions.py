@@ -5,7 +5,7 @@ import pytest
 import torch
 from shapely import MultiPolygon, Point, Polygon, box
 
-from geoaim.hdmap.signed_distance import compute_signed_distance
+from geoaim.hdmap.drivable import compute_signed_distance
 from geoaim.simulation.infractions import (
     Drivable,
     Lanes,

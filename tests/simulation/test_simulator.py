@@ -6,11 +6,12 @@ import torch
 
 from geoaim.rendering import OrientedBoxes, Scene, View, make_ground, prefilter_ground, render
 from geoaim.simulation.kinematics import bicycle, unicycle
-from geoaim.simulation.policies import constant_turn_rate, constant_velocity
 from geoaim.simulation.simulator import (
     Scenario,
     apply_rollout,
     collate_scenarios,
+    constant_turn_rate,
+    constant_velocity,
     invert_step,
     rollout,
     step,

@@ -21,8 +21,12 @@ from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import make_similarity, transform_points, translation
 from geoaim.base.grid import Grid, pad_grid
 from geoaim.base.progress import Progress, no_progress, report_each
-from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior, refuse_beyond_prior
-from geoaim.imagery.alignment.result import ImageryAlignment
+from geoaim.imagery.alignment.result import (
+    DEFAULT_PRIOR,
+    ImageryAlignment,
+    Prior,
+    refuse_beyond_prior,
+)
 from geoaim.imagery.alignment.template_matching import (
     WINDOW_PX,
     GreyImage,
@@ -82,21 +86,7 @@ class _Candidate(NamedTuple):
 
 
 def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> ImageryAlignment:
-    """Estimate how imagery has to be moved to lie on an AIM of the same place.
-
-    Args:
-        imagery: roughly georeferenced imagery of any sensor, day and resolution.
-        aim: an accurately georeferenced AIM in the same world.
-        prior: how far off the imagery may be.
-
-    Returns:
-        The alignment, with its covariance; `evidence` has the keys windows, windows_agreeing and
-        log10_false_alarms.
-
-    Raises:
-        AlignmentError: both overlap too little, have too little in common, or fit in two ways.
-        ValueError: they lie in different worlds.
-    """
+    """Estimate how imagery has to be moved to lie on an AIM of the same place."""
     best, finest, false_alarms = _find_place(imagery, aim, prior)
     return _fit_alignment(best, finest, false_alarms)
 

@@ -24,8 +24,13 @@ from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import make_similarity, to_opencv, transform_points
 from geoaim.base.grid import Grid
 from geoaim.imagery.alignment import template_matching
-from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior, compute_log_prior
-from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment
+from geoaim.imagery.alignment.result import (
+    DEFAULT_PRIOR,
+    MAX_SIGMA_M,
+    ImageryAlignment,
+    Prior,
+    compute_log_prior,
+)
 from geoaim.tracks.agent_types import AGENT_GROUPS
 from geoaim.tracks.tracks import Tracks
 
@@ -64,22 +69,7 @@ class _PathTemplate(NamedTuple):
 
 
 def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) -> ImageryAlignment:
-    """Estimate how imagery has to be moved to lie under the tracks of vehicles.
-
-    Args:
-        imagery: roughly georeferenced imagery.
-        tracks: tracks in the same world; only moving vehicles are used.
-        prior: how far off the imagery may be; its scale is taken as right.
-
-    Returns:
-        The mean of the posterior, with its covariance; in a direction in which the tracks do not
-        determine the place, the imagery is not moved. `evidence` has the keys poses and
-        rotation_sigma_degrees.
-
-    Raises:
-        AlignmentError: vehicles move at too few places, or the imagery does not fix the place.
-        ValueError: they lie in different worlds.
-    """
+    """Estimate how imagery has to be moved to lie under the tracks of vehicles."""
     if imagery.world != tracks.world:
         raise ValueError(f"the imagery lies in {imagery.world}, the tracks in {tracks.world}")
     poses = sample_poses(tracks)
@@ -152,7 +142,8 @@ def _make_search(imagery: AIM, poses: Float[Array, "M 3"], prior: Prior) -> _Sea
 
 def _estimate_posterior(search: _Search, rotations: Float[Array, "t"]) -> Float[Array, "t n n"]:
     """Probabilities of rotations and shifts, learning surfaces and places in turn."""
-    shifts = _assume_any_shift(search)
+    side = 2 * search.steps + 1
+    shifts = np.full((side, side), 1 / side**2)
     third = rotations[len(rotations) // 2 % 3 :: 3]  # enough to learn the surfaces
     for angles in (third, rotations):
         channels = _draw_channels(search, shifts)
@@ -160,11 +151,6 @@ def _estimate_posterior(search: _Search, rotations: Float[Array, "t"]) -> Float[
         posterior = _normalise(scores, search.max_shift)
         shifts = posterior.sum(axis=0)
     return posterior
-
-
-def _assume_any_shift(search: _Search) -> Float[Array, "n n"]:
-    side = 2 * search.steps + 1
-    return np.full((side, side), 1 / side**2)
 
 
 def _draw_channels(search: _Search, shifts: Float[Array, "n n"]) -> Float32[Array, "H W 4"]:
@@ -177,16 +163,12 @@ def _score_rotation(
     search: _Search, channels: Float32[Array, "H W 4"], angle: float
 ) -> Float32[Array, "n n"]:
     """Scores of all shifts of the poses, rotated by an angle."""
-    poses = _rotate_poses(search.poses, search.center, angle)
-    return _correlate(channels, _draw_template(poses, search.grid), search.steps)
-
-
-def _rotate_poses(
-    poses: Float[Array, "M 3"], center: Float[Array, "2"], angle: float
-) -> Float[Array, "M 3"]:
-    """Rotate poses x, y, heading by an angle in radians about a point."""
-    places = transform_points(make_similarity(center, angle, 1.0), poses[:, :2])
-    return np.column_stack([places, poses[:, 2] + angle])
+    places = transform_points(make_similarity(search.center, angle, 1.0), search.poses[:, :2])
+    rotated = np.column_stack([places, search.poses[:, 2] + angle])
+    template, steps = _draw_template(rotated, search.grid), search.steps
+    (height, width), top, left = template.channels.shape[:2], template.top, template.left
+    region = channels[top - steps : top + height + steps, left - steps : left + width + steps]
+    return cv2.matchTemplate(region, template.channels, cv2.TM_CCORR)
 
 
 def _draw_template(poses: Float[Array, "M 3"], grid: Grid) -> _PathTemplate:
@@ -296,15 +278,6 @@ def _score_classes(
     ratio = np.log((under + MIN_CLASS_SHARE) / (everywhere + MIN_CLASS_SHARE))
     scores = (ratio - (under * ratio).sum())[np.maximum(classes, 0)]
     return np.where(classes >= 0, scores, 0).astype(np.float32)
-
-
-def _correlate(
-    channels: Float32[Array, "H W 4"], template: _PathTemplate, steps: int
-) -> Float32[Array, "n n"]:
-    """Sums of the template times the image, at all shifts."""
-    (height, width), top, left = template.channels.shape[:2], template.top, template.left
-    region = channels[top - steps : top + height + steps, left - steps : left + width + steps]
-    return cv2.matchTemplate(region, template.channels, cv2.TM_CCORR)
 
 
 def _normalise(scores: Float32[Array, "t n n"], max_shift: float) -> Float[Array, "t n n"]:

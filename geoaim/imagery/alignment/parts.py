@@ -142,10 +142,7 @@ def _place_by_others(
     max_shift: float,
     likely: Float[Array, "2"] | None,
 ) -> Part:
-    """Place a part at its likely shift, or the mean of others, as unsure as those differ from it.
-
-    Two or three shifts tell little of a spread: the prior's counts as one more.
-    """
+    """Place a part at its likely shift, or the others' mean, as unsure as those differ from it."""
     shifts = np.array([part.alignment.shift for part in aligned])
     shift, count = shifts.mean(axis=0) if likely is None else likely, len(aligned)
     squares = ((shifts - shift) ** 2).sum() / 2 + (max_shift / 2) ** 2

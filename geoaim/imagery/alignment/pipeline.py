@@ -17,10 +17,14 @@ from geoaim.base.errors import AlignmentError, warn
 from geoaim.base.geometry import make_similarity, transform_points, translation
 from geoaim.base.world import World, choose_world, lonlat_from_world
 from geoaim.imagery.alignment.by_control_points import georeference_picture
-from geoaim.imagery.alignment.evidence import Evidence, list_evidence
-from geoaim.imagery.alignment.placement import apply_alignment, place_mosaic, report_alignment
-from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
-from geoaim.imagery.alignment.result import ImageryAlignment
+from geoaim.imagery.alignment.placement import (
+    Evidence,
+    apply_alignment,
+    list_evidence,
+    place_mosaic,
+    report_alignment,
+)
+from geoaim.imagery.alignment.result import DEFAULT_PRIOR, ImageryAlignment, Prior
 from geoaim.imagery.alignment.tracks_parts import forget_undetermined, weigh_alignment
 from geoaim.imagery.mosaic import Mosaic, ReadOptions, read_lonlat, read_mosaic
 from geoaim.imagery.sources import ImageryObject, Source
@@ -108,7 +112,11 @@ def align_tiles(
     """
     world = None
     if (crs := options.get("output_crs")) is not None:
-        world = _choose_output_world(crs, tiles, aim, tracks, options.get("crs"))
+        if evidence := list_evidence(aim, tracks, prior):
+            lonlat = lonlat_from_world(evidence[0].source.world, evidence[0].bounds)
+        else:
+            lonlat = read_lonlat(tiles, options.get("crs"))
+        world = choose_world(lonlat, crs=crs)
         aim = None if aim is None else change_aim_world(aim, world)
         tracks = None if tracks is None else to_world(tracks, world)
     elif aim is not None and tracks is not None:
@@ -163,20 +171,6 @@ def _read_picture(
     )
     resolution = options.get("resolution")
     return picture if resolution is None else rectify(picture, resolution)
-
-
-def _choose_output_world(
-    crs: str,
-    tiles: Source | ImageryObject | Sequence[Source | ImageryObject],
-    aim: AIM | None,
-    tracks: Tracks | None,
-    own_crs: str | None,
-) -> World:
-    """The world of a CRS around the AIM, the tracks or else the imagery."""
-    if evidence := list_evidence(aim, tracks, DEFAULT_PRIOR):
-        lonlat = lonlat_from_world(evidence[0].source.world, evidence[0].bounds)
-        return choose_world(lonlat, crs=crs)
-    return choose_world(read_lonlat(tiles, own_crs), crs=crs)
 
 
 def _choose_region(

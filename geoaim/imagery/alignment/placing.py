@@ -15,7 +15,7 @@ from geoaim.base.geometry import transform_points, translation
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.base.world import choose_world, world_from_lonlat
 from geoaim.imagery.alignment.by_image import MatchedWindows, match_image
-from geoaim.imagery.alignment.prior import Prior
+from geoaim.imagery.alignment.result import Prior
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.sources import Source
 from geoaim.mapping.georeference.control_points import ControlPoints

@@ -1,26 +1,23 @@
-"""The result of an alignment: how imagery has to be moved, and how well that is known."""
+"""How far imagery may be off, and the result of an alignment: how it has to be moved."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim.position import CHI2_1D, CHI2_2D, describe_covariance, measure_azimuth
-from geoaim.base.displays import Display
+from geoaim.aim.position import CHI2_1D, CHI2_2D
+from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import transform_points
 from geoaim.mapping.registration.motion_models import Model
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 MAX_SIGMA_M = 1.0  # a direction of greater standard deviation counts as undetermined
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class ImageryAlignment(Display):
+@dataclass(frozen=True, eq=False)
+class ImageryAlignment:
     """How imagery has to be moved to its true place."""
 
     true_from_stated: Float[Array, "3 3"]  # metres; stated = by the image's own georeference
@@ -56,25 +53,55 @@ class ImageryAlignment(Display):
         """Metres east and north by which the imagery is moved at the center."""
         return transform_points(self.true_from_stated, self.center[None])[0] - self.center
 
-    def summarize(self) -> dict[str, str]:
-        """Summarize the model, the shift, its uncertainty and its undetermined direction."""
-        east, north = self.shift
-        lines = {
-            "model": self.model,
-            "shift": f"{east:+.2f} m east, {north:+.2f} m north",
-            "uncertainty (95 %)": describe_covariance(self.covariance),
-        }
-        if (direction := self.undetermined_direction) is not None:
-            along = np.array([np.cos(direction), np.sin(direction)])
-            lines["undetermined"] = f"along azimuth {measure_azimuth(along):.0f}°"
-        return lines
 
-    def _draw(self, axes: "Axes") -> None:
-        angles = np.linspace(0, 2 * np.pi, 73)
-        circle = np.sqrt(CHI2_2D) * np.column_stack([np.cos(angles), np.sin(angles)])
-        variances, directions = np.linalg.eigh(self.covariance)
-        end = self.center + self.shift
-        ellipse = end + circle * np.sqrt(variances) @ directions.T
-        axes.plot(*np.stack([self.center, end]).T, "o-", color="#d00000", label="shift")
-        axes.plot(*ellipse.T, color="0.4", label="holds the place in 95 % of cases")
-        axes.margins(0.2)
+PRIOR_MARGIN = 1.15  # times the prior's range, beyond which an answer is refused
+
+
+@dataclass(frozen=True)
+class Prior:
+    """The largest expected error of the imagery's position.
+
+    Raises:
+        ValueError: the shift is not positive, the rotation is beyond pi, or the scaling beyond 0.5.
+    """
+
+    max_shift: float = 15.0  # metres
+    max_rotation: float = float(np.radians(5))  # radians
+    max_scaling: float = 0.05  # change of scale as a share: 0.05 is 5 %
+
+    def __post_init__(self) -> None:
+        if not (
+            0 < self.max_shift < np.inf
+            and 0 <= self.max_rotation <= np.pi
+            and 0 <= self.max_scaling <= 0.5
+        ):
+            raise ValueError(
+                f"{self}: a shift of some metres, a rotation of 0 to pi radians and a scaling of 0 "
+                "to 0.5 are needed"
+            )
+
+
+DEFAULT_PRIOR = Prior()
+
+
+def compute_log_prior(shifts: Float[Array, "*n 2"], max_shift: float) -> Float[Array, "*n"]:
+    """Log density, up to a constant, of shifts whose two standard deviations are `max_shift`."""
+    return -(shifts**2).sum(axis=-1) / 2 / (max_shift / 2) ** 2
+
+
+def refuse_beyond_prior(
+    matrix: Float[Array, "3 3"], center: Float[Array, "2"], prior: Prior
+) -> None:
+    """Refuse an answer that lies beyond the searched range."""
+    origin, east = transform_points(matrix, center + np.array([[0.0, 0.0], [1.0, 0.0]]))
+    shift = float(np.linalg.norm(origin - center))
+    rotation, scale = np.arctan2(*(east - origin)[::-1]), np.linalg.norm(east - origin)
+    if (
+        shift > PRIOR_MARGIN * np.sqrt(2) * prior.max_shift
+        or abs(rotation) > PRIOR_MARGIN * prior.max_rotation + 0.01
+        or abs(np.log(scale)) > PRIOR_MARGIN * prior.max_scaling + 0.01
+    ):
+        raise AlignmentError(
+            f"the best fit is {shift:.1f} m, {np.degrees(rotation):.1f} degrees and "
+            f"{100 * (scale - 1):.1f} % away, beyond the searched range. Pass a larger prior"
+        )

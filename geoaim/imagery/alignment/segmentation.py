@@ -19,8 +19,7 @@ from geoaim.base.geometry import transform_points
 from geoaim.base.grid import Grid
 from geoaim.imagery.alignment.by_image import align_largest_part
 from geoaim.imagery.alignment.parts import MIN_PART_SHARE, Labels, crop_to_mask, try_alignment
-from geoaim.imagery.alignment.prior import Prior
-from geoaim.imagery.alignment.result import ImageryAlignment
+from geoaim.imagery.alignment.result import ImageryAlignment, Prior
 from geoaim.imagery.alignment.template_matching import (
     compute_orientation,
     reduce_to_grey,

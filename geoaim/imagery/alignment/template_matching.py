@@ -20,7 +20,7 @@ from geoaim.aim.aim import AIM
 from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import to_opencv
 from geoaim.base.grid import Grid, make_north_up_grid
-from geoaim.imagery.alignment.prior import Prior
+from geoaim.imagery.alignment.result import Prior
 
 SHADOW_RADIUS_M = 10.0  # radius of the local mean, to which darker pixels are raised
 GRADIENT_SIGMA_PX = 0.7  # standard deviation of the Gaussian filter before the gradient
@@ -49,11 +49,7 @@ class GreyImage(NamedTuple):
 
 
 def reduce_to_grey(aim: AIM, resolution: float) -> GreyImage:
-    """Convert an AIM to grey, for sampling every `resolution` metres without aliasing.
-
-    The image is low-pass filtered, and first reduced by a whole factor where its pixels are at most
-    half as large.
-    """
+    """Convert an AIM to grey, for sampling every `resolution` metres without aliasing."""
     grey: Array = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY)
     valid: Array = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
     matrix, step = aim.grid.grid_from_world, resolution / aim.resolution
@@ -68,10 +64,7 @@ def reduce_to_grey(aim: AIM, resolution: float) -> GreyImage:
 
 
 def smooth_for_step(image: Array, step: float) -> Array:
-    """Smooth an image against aliasing on a grid whose pixels are `step` times as large.
-
-    A step of 1 or less returns the image itself.
-    """
+    """Smooth an image against aliasing on a grid whose pixels are `step` times as large."""
     if step <= 1:
         return image
     return cv2.GaussianBlur(image, (0, 0), 0.45 * np.sqrt(step**2 - 1) + 1e-3)
@@ -80,16 +73,7 @@ def smooth_for_step(image: Array, step: float) -> Array:
 def resample_grey(
     image: GreyImage, stated_from_true: Float[Array, "3 3"], grid: Grid
 ) -> tuple[Float32[Array, "H W"], Bool[Array, "H W"]]:
-    """Resample a misplaced image to a grid as if its position had been corrected.
-
-    Args:
-        image: the image to resample.
-        stated_from_true: (3, 3) true world metres of the ground to those where the image places it.
-        grid: H x W pixels in the world.
-
-    Returns:
-        (H, W) brightness in grey levels, and (H, W) whether the image shows the pixel.
-    """
+    """Resample a misplaced image to a grid as if its position had been corrected."""
     matrix = to_opencv(image.image_from_world @ stated_from_true @ grid.world_from_grid)
     size = grid.shape[::-1]
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
@@ -134,11 +118,7 @@ def match_windows(
     search: int,
     stride: int,
 ) -> WindowShifts:
-    """Find windows of a reference in an image, each within a few pixels of its own place.
-
-    Windows are left out unless both images have edges in `MIN_WINDOW_VALID_SHARE` of their pixels.
-    A paraboloid refines each peak.
-    """
+    """Find windows of a reference in an image, each within a few pixels of its own place."""
     height, width = reference.shape[:2]
     both = np.asarray(find_edges(reference) & find_edges(image), np.float32)
     share = cv2.blur(both, (side, side), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)

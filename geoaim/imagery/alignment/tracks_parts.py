@@ -23,8 +23,7 @@ from geoaim.imagery.alignment.by_tracks import (
     score_parts,
 )
 from geoaim.imagery.alignment.parts import Labels, Part
-from geoaim.imagery.alignment.prior import Prior, compute_log_prior
-from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment
+from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment, Prior, compute_log_prior
 from geoaim.tracks.tracks import Tracks
 
 # how probable it is before that the parts are displaced: files of their own, and within one file
@@ -127,15 +126,6 @@ def weigh_alignment(
 
     The alignment says where the imagery lies relative to its reference, which may itself be off.
     In a direction in which the imagery's own place is better known it stays.
-
-    Args:
-        alignment: how the imagery has to be moved to lie on the reference.
-        own: (2, 2) covariance of the imagery's stated place, square metres.
-        reference: (2, 2) covariance of the reference's place.
-
-    Returns:
-        The alignment with the shift that remains, and the (2, 2) covariance of the place in the
-        world.
 
     >>> off = ImageryAlignment(translation(5.0, 5.0), "translation", np.eye(2) * 0.01, np.zeros(2))
     >>> moved, _ = weigh_alignment(off, np.eye(2) * 100, np.diag([0.0, 1e6]))

@@ -37,15 +37,6 @@ def estimate_gain(exposure: Exposure, frame: Frame, image_from_frame: Float[Arra
 
     It is the mode of the ratios of grey levels above black. One factor serves all colours: a real
     drone's step in exposure was 0.983, 0.984 and 0.986 in red, green and blue.
-
-    Args:
-        exposure: exposure of the frames before; points that this frame shows first are filled in,
-            in place.
-        frame: the frame.
-        image_from_frame: (3, 3) its registration.
-
-    Returns:
-        The gain; that of the last frame where too few points can be compared.
     """
     shrink = np.diag([1 / exposure.spacing, 1 / exposure.spacing, 1.0])
     matrix, size = to_opencv(shrink @ image_from_frame), exposure.level.shape[::-1]
@@ -74,16 +65,7 @@ def _find_common_ratio(logarithms: Float32[Array, "n"]) -> float:
 def apply_gain(
     pixels: UInt8[Array, "H W *c"], gain: float, neutral: float
 ) -> UInt8[Array, "H W *c"]:
-    """Multiply the pixels' distance from a neutral value.
-
-    Args:
-        pixels: (H, W) or (H, W, C), from 0 to 255.
-        gain: the factor.
-        neutral: the value that stays as it is: `black_level`, or 128 for chroma.
-
-    Returns:
-        The pixels, rounded, from 0 to 255; the same array where the gain is within 0.002 of 1.
-    """
+    """Multiply the pixels' distance from a neutral value."""
     if abs(gain - 1) < MIN_GAIN_CHANGE:
         return pixels
     return np.asarray(cv2.addWeighted(pixels, gain, pixels, 0.0, neutral * (1 - gain)), np.uint8)

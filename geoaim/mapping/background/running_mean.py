@@ -93,13 +93,7 @@ def average_frames(
 
 
 class RunningMean:
-    """The mean of the frames that are added, in memory that does not grow with their number.
-
-    Args:
-        size: (height, width) of the image, pixels.
-        detections: what to leave out of each frame, or None.
-        bands: horizontal bands of the image that the frames fill in turn.
-    """
+    """The mean of the frames that are added, in memory that does not grow with their number."""
 
     def __init__(
         self, size: tuple[int, int], detections: Detections | None = None, bands: int = 1
@@ -184,17 +178,7 @@ def draw_outside(
     image_from_frame: Float[Array, "3 3"],
     size: tuple[int, int],
 ) -> UInt8[Array, "H W"] | None:
-    """Draw where a frame shows no vehicle: 0 in the boxes, grown by 12 %, else 1.
-
-    Args:
-        detections: the boxes.
-        frame: the frame.
-        image_from_frame: (3, 3) its registration.
-        size: (height, width) of the image, pixels.
-
-    Returns:
-        (H, W), or None where nothing is known of the frame.
-    """
+    """Draw where a frame shows no vehicle: 0 in the boxes, grown by 12 %, else 1."""
     if (boxes := convert_boxes(detections(frame))) is None:
         return None
     grown = transform_boxes(image_from_frame, grow_boxes(boxes.boxes))

@@ -288,11 +288,7 @@ def continue_ground(
 def _choose_frames(
     stack: Stack, seen: Masks, guess: Image, unknown: UInt8[Array, "h w"], largest: int
 ) -> tuple[Image, Float32[Array, "h w"]]:
-    """The frame of each unknown pixel that differs least from the guess over a window about it.
-
-    Differences are cut at `largest`, so that a mark on the ground is no worse than a vehicle. Also
-    returns their mean over the window.
-    """
+    """The frame of each unknown pixel that differs least from the guess over a window about it."""
     least = np.full(unknown.shape, np.inf, np.float32)
     chosen = guess.copy()
     for frame, visible in zip(stack, seen, strict=True):
@@ -319,10 +315,7 @@ def find_seams(differs: Masks, seen: Masks) -> Bool[Array, "h w"]:
 
 
 def find_beyond(masks: Masks, seen: Masks, order: Int[Array, "K"]) -> Masks:
-    """Find where frames lie before the first or after the last one that shows the background.
-
-    What stands and leaves does not return, but the ground does after each vehicle that passes.
-    """
+    """Find where frames lie before the first or after the last one that shows the background."""
     beyond = np.zeros_like(masks)
     for indices in (order, order[::-1]):
         so_far = np.ones(masks.shape[1:], bool)

@@ -29,12 +29,7 @@ MAX_SMALL_SIDE_PX = 1024  # longest side of the small frames in which traffic is
 
 
 class TrafficSearch:
-    """Small copies of the frames that are added, in which traffic is searched once, at the end.
-
-    Args:
-        size: (height, width) of the image, pixels.
-        detections: known traffic, or None.
-    """
+    """Small copies of the frames that are added, in which traffic is searched once, at the end."""
 
     def __init__(self, size: tuple[int, int], detections: Detections | None = None) -> None:
         self.size, self.detections = size, detections

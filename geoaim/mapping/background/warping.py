@@ -67,16 +67,7 @@ def sharpen_mean(
 def draw_footprint(
     frame_size: tuple[int, ...], image_from_frame: Float[Array, "3 3"], size: tuple[int, int]
 ) -> UInt8[Array, "h w"]:
-    """Draw where a frame shows the image.
-
-    Args:
-        frame_size: height and width of the frame; further entries are ignored.
-        image_from_frame: (3, 3) its registration.
-        size: (height, width) of the image, pixels.
-
-    Returns:
-        (h, w) 1 inside the frame without its rim, else 0.
-    """
+    """Draw where a frame shows the image."""
     height, width = frame_size[0] - 2 * FRAME_INSET_PX, frame_size[1] - 2 * FRAME_INSET_PX
     corners = image_corners(height, width) + FRAME_INSET_PX
     polygon = transform_points(image_from_frame, corners)
@@ -84,10 +75,7 @@ def draw_footprint(
 
 
 def draw_polygons(polygons: Float[Array, "n m 2"], size: tuple[int, int]) -> UInt8[Array, "h w"]:
-    """Draw n convex polygons of m corners (pixels) to 1/16 px, on an image of (height, width).
-
-    1 inside any of them, else 0.
-    """
+    """Draw n convex polygons of m corners (pixels) to 1/16 px, on an image of (height, width)."""
     mask = np.zeros(size, np.uint8)
     for polygon in np.rint((polygons - 0.5).clip(-30000, 30000) * 16).astype(np.int32):
         cv2.fillConvexPoly(mask, polygon, [1], shift=4)

@@ -184,11 +184,7 @@ def _merge_crs(stated: Sequence[Any]) -> str | None:
 
 
 def merge_observations(points: ControlPoints) -> ControlPoints:
-    """Merge points of equal coordinates that were picked on several frames, at the median pixel.
-
-    The pixels must refer to one image already. The name and the frame of the first are kept. Points
-    that appear twice on the same frame stay unmerged; `estimate_georeference` refuses them.
-    """
+    """Merge points of equal coordinates that were picked on several frames, at the median pixel."""
     _, group = np.unique(points.coordinates, axis=0, return_inverse=True)
     keep, pixels = [], []
     for index in range(len(group)):

@@ -55,19 +55,7 @@ def approximate_georeference(
 def make_local_georeference(
     *, resolution: float, size: tuple[int, int], origin: tuple[float, float] = (0.0, 0.0)
 ) -> Georeference:
-    """Make a georeference in a local plane, x right and y up.
-
-    Args:
-        resolution: metres per pixel.
-        size: height and width of the image, pixels.
-        origin: u and v of the pixel at x = y = 0; the default is that of tracks in pixels.
-
-    Returns:
-        The georeference.
-
-    Raises:
-        ValueError: the resolution is not positive.
-    """
+    """Make a georeference in a local plane, x right and y up."""
     if not (np.isfinite(resolution) and resolution > 0.0):
         raise ValueError(f"resolution is {resolution}; it is a positive number of metres.")
     unit = resolution * half_diagonal(*size)

@@ -240,10 +240,7 @@ def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
 
 
 def make_row(values: Mapping[str, Any], source: str) -> PointRow:
-    """Make a row of the values u, v, x, y and, where stated, name, frame, crs and accuracy (m).
-
-    A pixel or a place whose two fields are both empty becomes NaN: it was not picked yet.
-    """
+    """Make a row of the values u, v, x, y and, where stated, name, frame, crs and accuracy (m)."""
     u, v = _parse_pair(values["u"], values["v"], source)
     x, y = _parse_pair(values["x"], values["y"], source)
     name, frame = str(values.get("name") or ""), values.get("frame")
@@ -254,10 +251,7 @@ def make_row(values: Mapping[str, Any], source: str) -> PointRow:
 
 
 def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
-    """Find the index of the columns u, v, x, y and, where present, name, frame and crs.
-
-    The header is in lower case; `COLUMN_NAMES` lists what a column may be called.
-    """
+    """Find the index of the columns u, v, x, y and, where present, name, frame and crs."""
     columns = {
         key: header.index(name)
         for key, names in COLUMN_NAMES.items()

@@ -75,23 +75,7 @@ def georeference_reference_frame(
     detections: Detections | None,
     crs: str | None,
 ) -> tuple[Georeference, ControlPoints | None, Reference]:
-    """Georeference the reference frame by control points, or without them by telemetry.
-
-    Args:
-        points: control points, picked on any frames of the video.
-        video: the video, with its telemetry.
-        reference: the reference frame.
-        detections: vehicles that registration leaves out.
-        crs: CRS of the world, projected and in metres; None keeps the points' own, or their UTM
-            zone.
-
-    Returns:
-        The georeference; one control point for each place, with pixels of the reference frame; and
-        the reference, which is another frame where photos overlap in a chain only.
-
-    Raises:
-        GeoreferenceError: nothing fixes a place, or a frame with control points is missing.
-    """
+    """Georeference the reference frame by control points, or without them by telemetry."""
     if points is None:
         return _georeference_by_telemetry(video.telemetry, video.listed, reference), None, reference
     check_inside(points, (video.height, video.width))
@@ -110,11 +94,7 @@ def georeference_reference_frame(
 def _place_points(
     points: ControlPoints, video: Video, reference: Reference, detections: Detections | None
 ) -> tuple[ControlPoints, Reference]:
-    """Transform control points to the reference; points that cannot be placed are left out.
-
-    Where photos of a flight cannot all be registered to one, overlapping photos are linked, and the
-    central one of those with control points becomes the reference.
-    """
+    """Transform control points to the reference; points that cannot be placed are left out."""
     frames = {picked: _find_frame_index(picked, video.listed) for picked in points.frames}
     transforms, reasons = {}, {}
     for picked, index in frames.items():
@@ -202,23 +182,7 @@ def override_telemetry(
     yaw: float | None = None,
     focal_length: float | None = None,
 ) -> Video:
-    """Replace the height, heading or focal length that the telemetry of a video states.
-
-    Where a height or heading is given, a camera whose pitch is not stated is taken to look straight
-    down.
-
-    Args:
-        video: the video, with telemetry that states at least a position.
-        height: metres above the ground; None keeps what the telemetry states.
-        yaw: compass heading of the image's top, degrees clockwise from north; None keeps it.
-        focal_length: 35 mm equivalent with any zoom, millimetres; None keeps it.
-
-    Returns:
-        The video with this telemetry.
-
-    Raises:
-        ValueError: the height or the focal length is not positive, or a value is not finite.
-    """
+    """Replace the height, heading or focal length that the telemetry of a video states."""
     given = {}
     if height is not None:
         given["height"] = height

@@ -83,16 +83,7 @@ def _linear_part(terms: Array) -> Array:
 def compose_world_from_image(
     world_from_plane: Float[Array, "3 3"], terms: Terms, size: tuple[int, int]
 ) -> Float[Array, "3 3"]:
-    """Compose the homography from undistorted pixels to world metres.
-
-    Args:
-        world_from_plane: similarity from the normalised plane to world metres.
-        terms: the nine terms; the lens term is not part of a homography.
-        size: height and width of the image, pixels.
-
-    Returns:
-        The homography, scaled to 1 in its last element.
-    """
+    """Compose the homography from undistorted pixels to world metres."""
     plane = np.eye(3)
     plane[:2, :2], plane[:2, 2], plane[2, :2] = _linear_part(terms), terms[:2], terms[6:8]
     matrix = world_from_plane @ plane @ plane_from_image(*size)
@@ -149,10 +140,7 @@ def normalise_pixels(pixels: Points, size: tuple[int, int]) -> Points:
 def fit_similarity(
     points: Points, targets: Points, *, mirrored: bool = False
 ) -> tuple[Float[Array, "3 3"], float]:
-    """Fit a similarity by least squares, without the point that fits worst.
-
-    One point that is kilometres off would otherwise spoil the scale of everything that follows.
-    """
+    """Fit a similarity by least squares, without the point that fits worst."""
     z = points[:, 0] + 1j * points[:, 1]
     z = z.conj() if mirrored else z
     q = targets[:, 0] + 1j * targets[:, 1]
@@ -173,15 +161,6 @@ def _fit_complex_line(z: Array, q: Array) -> tuple[float, complex, complex]:
 
 def undistort_points(pixels: Points, radial: float, height: int, width: int) -> Points:
     """Remove radial lens distortion: p (1 + k |p|^2) in the normalised plane.
-
-    Args:
-        pixels: u, v as they lie in the image.
-        radial: k, positive where the lens moves points towards the centre.
-        height: height of the image, pixels.
-        width: width of the image, pixels.
-
-    Returns:
-        Undistorted pixels.
 
     >>> undistort_points(np.array([[0.0, 0.0]]), 0.01, 60, 80)
     array([[-0.4, -0.3]])

@@ -67,10 +67,7 @@ def map_uncertainty(georeference: Georeference) -> dict[str, Any]:
 
 
 def average_covariance(georeference: Georeference) -> Float[Array, "2 2"]:
-    """Average the covariance of a pixel's place over the image, square metres east and north.
-
-    It is scaled so that the Gaussian ellipse of 95 % is as large as that of the F distribution.
-    """
+    """Average the covariance of a pixel's place over the image, square metres east and north."""
     design = _design_errors(georeference, _list_places(georeference))
     scale = (ellipse_factor(georeference.posterior.dof) / ellipse_factor(np.inf)) ** 2
     return np.asarray(scale * np.einsum("mik,mjk->ij", design, design) / len(design))
@@ -108,10 +105,7 @@ def suggest_point(georeference: Georeference) -> tuple[Float[Array, "2"], float,
 
 
 def _add_datum(georeference: Georeference, radius: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Add the uncertainty of the CRS's transformation, which points in it do not lower.
-
-    The radius holds 95 %, as the result does.
-    """
+    """Add the uncertainty of the CRS's transformation, which points in it do not lower."""
     return np.asarray(np.hypot(radius, georeference.datum_accuracy * ellipse_factor(np.inf)))
 
 

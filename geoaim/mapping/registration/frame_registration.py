@@ -110,7 +110,7 @@ def register_frame(
     Returns:
         The first registration with enough inliers, or else the best, and the alignment behind it.
     """
-    best: tuple[FrameRegistration, PatchAlignment | None] = (_reject("no patch in view"), None)
+    best: tuple[FrameRegistration, PatchAlignment | None] = (reject("no patch in view"), None)
     chosen = keyframe
     for target, start, coarse in _propose_starts(grey, keyframes, keyframe, prior, model):
         if coarse:
@@ -134,7 +134,7 @@ def register_frame(
     try:
         alignment, other = choose_placement(grey, chosen.fine, chosen.overview, alignment)
     except AmbiguousPlacementError as error:
-        return _reject(str(error)), alignment
+        return reject(str(error)), alignment
     registration = _check_alignment(chosen, alignment)
     if other is not None:
         registration = replace(registration, other_placement=chosen.reference_from_keyframe @ other)
@@ -218,7 +218,7 @@ def _propose_starts(
 def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> FrameRegistration:
     """Reject an alignment that cannot be trusted; chain a good one to the reference."""
     if alignment is None:
-        return _reject("too few patches match the reference")
+        return reject("too few patches match the reference")
     in_view, inliers = int(alignment.in_view.sum()), int(alignment.inliers.sum())
     share = inliers / max(in_view, 1)
     quality = float(np.median(alignment.correlation[alignment.in_view]))
@@ -267,5 +267,6 @@ def _widen_uncertainty(spread: float, misfit: float, is_frozen: bool) -> float:
     return float(np.linalg.norm([spread * inflation, misled, INTERPOLATION_ERROR_PX]))
 
 
-def _reject(reason: str) -> FrameRegistration:
+def reject(reason: str) -> FrameRegistration:
+    """Make the registration of a frame that is rejected."""
     return FrameRegistration(np.full((3, 3), np.nan), reason, 0.0, 0.0, np.inf)

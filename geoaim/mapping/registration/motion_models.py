@@ -110,11 +110,7 @@ def fit_motion(
     size: tuple[int, int],
     rounds: int = 6,
 ) -> Motion:
-    """Fit a small motion by least squares, iteratively reweighted with Tukey's biweight.
-
-    The first weights are relative to the median displacement, so that points which move
-    independently have little weight from the start.
-    """
+    """Fit a small motion by least squares, iteratively reweighted with Tukey's biweight."""
     columns = compute_basis(points, model, size=size)
     projected = np.einsum("mik,mij->mkj", columns, information)
     normal_parts = projected @ columns

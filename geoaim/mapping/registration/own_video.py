@@ -101,12 +101,7 @@ def measure_own_video(source: VideoSource, quick: bool, progress: Progress) -> l
 def measure_settings(
     frames: Sequence[Frame], settings: Mapping[str, Setting] = SETTINGS
 ) -> Iterator[dict[str, Any]]:
-    """Measure settings on the same frames, one of them the homography, which counts as unbiased.
-
-    The squared error is the variance plus the squared bias. The variance comes from two halves of
-    the patches. The squared bias is the squared distance from the homography minus the difference
-    of both variances, and at least 0.
-    """
+    """Measure settings on the same frames, one of them the homography, which counts as unbiased."""
     size, found, scatter = frames[0].grey.shape, {}, {}
     for name, setting in settings.items():
         reference = prepare(frames, setting)
@@ -170,16 +165,7 @@ def prepare(frames: Sequence[Frame], setting: Setting) -> Reference:
 def register_with(
     frames: Sequence[Frame], setting: Setting, reference: Reference | None = None
 ) -> Placements:
-    """Register frames with a setting.
-
-    Args:
-        frames: frames in order of time.
-        setting: the setting.
-        reference: prepared for it; None prepares it.
-
-    Returns:
-        The registrations, in pixels of the full image.
-    """
+    """Register frames with a setting."""
     reference = reference or prepare(frames, setting)
     matrices, seconds, stated = [], [], []
     scale = np.diag([setting.reduction, setting.reduction, 1.0])

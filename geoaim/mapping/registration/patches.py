@@ -91,16 +91,7 @@ def shrink_image(grey: UInt8[Array, "H W"], factor: int) -> UInt8[Array, "h w"]:
 def make_template(
     grey: UInt8[Array, "H W"], *, factor: int = 1, exclude: Bool[Array, "H W"] | None = None
 ) -> PatchTemplate:
-    """Choose and prepare the patches of a reference image.
-
-    Args:
-        grey: the reference at full size.
-        factor: factor by which the reference is reduced; 1 is full size.
-        exclude: pixels of the full image that must not be used, such as vehicles.
-
-    Returns:
-        The template of this pyramid level.
-    """
+    """Choose and prepare the patches of a reference image."""
     level = shrink_image(grey, factor)
     if exclude is not None:
         exclude = cv2.resize(
@@ -141,18 +132,7 @@ def align_patches(
     *,
     iterations: int = 8,
 ) -> PatchAlignment | None:
-    """Refine the transform of a frame to the reference, on one pyramid level.
-
-    Args:
-        template: template of the same pyramid level as `grey`.
-        grey: the frame, reduced like the template by `shrink_image`.
-        prior: reference_from_frame to start from, in pixels of the full image.
-        model: motion model to fit.
-        iterations: largest number of iterations; fewer are done once the steps are small.
-
-    Returns:
-        The alignment, or None when too few patches lie in the frame, or it diverges.
-    """
+    """Refine the transform of a frame to the reference, on one pyramid level."""
     scale = np.diag([template.scale, template.scale, 1.0])
     matrix = scale @ prior @ np.linalg.inv(scale)
     corners = image_corners(template.height, template.width)
@@ -212,10 +192,7 @@ def _measure_motion(
     *,
     rounds: int,
 ) -> tuple[_Measurement, Motion, Float[Array, "N 2 2"]] | None:
-    """Fit the motion to the displacements by their precision (the third value).
-
-    None when there are too few of them, or they do not determine the motion.
-    """
+    """Fit the motion to the displacements by their precision (the third value)."""
     measured = _measure_displacements(template, grey, np.linalg.inv(reference_from_frame))
     if measured is None or measured.fitted.sum() < MIN_FITTED_PATCHES:
         return None

@@ -127,10 +127,7 @@ def choose_placement(
 
 
 def is_at_rest(alignment: PatchAlignment, template: PatchTemplate) -> bool:
-    """Whether a placement does not move at all, like overlays and frozen images.
-
-    Behind an overlay the ground may move on, so that such a placement is compared in every frame.
-    """
+    """Whether a placement does not move at all, like overlays and frozen images."""
     return _measure_travel(alignment.matrix, template) < MAX_REST_SHIFT_PX
 
 

@@ -19,10 +19,10 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from geoaim.base.displays import Display
-from geoaim.base.drift_plot import draw_drift
 from geoaim.base.errors import RegistrationError
 from geoaim.base.files import atomic_write
 from geoaim.base.geometry import image_corners, transform_points
+from geoaim.base.map_axes import draw_drift
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.frame_registration import (
@@ -183,11 +183,7 @@ def count_reasons(reasons: Iterable[str]) -> dict[str, int]:
 
 
 def collect_registration(rows: Iterable[Row], reference: Reference) -> Registration:
-    """Collect the registrations of one or more single frames.
-
-    Raises:
-        RegistrationError: no frame is valid.
-    """
+    """Collect the registrations of one or more single frames."""
     index, time, frames = zip(*rows, strict=True)
     check_ground(frames, (reference.height, reference.width))
     reasons = tuple(frame.reason for frame in frames)
@@ -222,21 +218,6 @@ def choose_reference(
     A camera that stands still is recognised first; any frame then serves. Else the reference is the
     middle one if all others can be registered to it, or the one that matches most others, or the
     first one when the view moves on so that none overlaps with the others.
-
-    Args:
-        video: the video.
-        detections: vehicles whose pixels are left out; None uses all pixels.
-        model: the motion model; None chooses the simplest that the frames need.
-        time: time of the reference, seconds; None chooses it.
-        probes: frames from the whole video, in order of time, that have been read already; five to
-            sixteen of them are used. Without any, five are read, unless time and model are given.
-        prefer_first: whether the first frame is tried instead of the middle one.
-
-    Returns:
-        The reference.
-
-    Raises:
-        RegistrationError: the reference has too little texture.
     """
     if model == "rest" and time is None:
         time = 0.0  # any frame serves

@@ -18,6 +18,7 @@ from geoaim.mapping.registration.frame_registration import (
     MIN_INLIERS,
     FrameRegistration,
     Keyframe,
+    reject,
 )
 from geoaim.mapping.registration.patches import (
     MIN_INLIER_CORRELATION,
@@ -84,10 +85,10 @@ def check_rest(grey: UInt8[Array, "H W"], keyframe: Keyframe) -> FrameRegistrati
     """Check that a frame shows at least 16 patches of the reference at the same pixels."""
     alignment = align_patches(keyframe.fine, grey, np.eye(3), "translation", iterations=1)
     if alignment is None:
-        return _reject("no patch in view")
+        return reject("no patch in view")
     still, shift = _find_still(alignment), measure_displacements(alignment)
     if still.sum() < MIN_INLIERS:
-        return _reject(
+        return reject(
             f"not at rest: {still.sum()} of {alignment.in_view.sum()} patches have not moved"
         )
     return FrameRegistration(
@@ -109,7 +110,3 @@ def _find_still(alignment: PatchAlignment) -> Bool[Array, "N"]:
     shift = np.hypot(*measure_displacements(alignment).T)
     correlation = alignment.correlation[alignment.fitted]
     return np.asarray((shift < MAX_SHIFT_PX) & (correlation > MIN_INLIER_CORRELATION))
-
-
-def _reject(reason: str) -> FrameRegistration:
-    return FrameRegistration(np.full((3, 3), np.nan), reason, 0.0, 0.0, np.inf)

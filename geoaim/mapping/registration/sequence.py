@@ -51,11 +51,7 @@ def check_ground(frames: Iterable[FrameRegistration], size: tuple[int, int]) -> 
 def find_jumps(
     reference_from_frame: Float[Array, "T 3 3"], size: tuple[int, int]
 ) -> Bool[Array, " T"]:
-    """Find frames that lie far from both neighbours while these agree.
-
-    The limit is ten times the median distance of a frame from the middle of its neighbours, and at
-    least 1 % of the width.
-    """
+    """Find frames that lie far from both neighbours while these agree."""
     jumped = np.zeros(len(reference_from_frame), bool)
     if len(jumped) < MIN_FRAMES:
         return jumped
@@ -78,11 +74,7 @@ def _is_still(frames: list[FrameRegistration], size: tuple[int, int]) -> bool:
 
 
 def _compare_steps(frames: list[FrameRegistration], size: tuple[int, int]) -> tuple[int, int]:
-    """Count steps in which the other placement moves less than the registered one, and more.
-
-    What does not move in the frame at all, such as an overlay, is not the ground. Steps that differ
-    by less than a comparison of small images resolves are equal.
-    """
+    """Count steps in which the other placement moves less than the registered one, and more."""
     middle = np.array([[size[1] / 2, size[0] / 2]])
     pairs = [
         (f.reference_from_frame, f.other_placement)

@@ -202,10 +202,7 @@ MAX_LISTED = 3  # names that a message lists
 def number_names(
     stems: Sequence[str], frames: FrameList | None, source: str | Path, first: int | None = None
 ) -> dict[str, int] | None:
-    """Find the frames that files are named by: `000012`, or `hover_13` as ultralytics names them.
-
-    Ultralytics counts the frames of a video from 1, and puts its name before the number.
-    """
+    """Find the frames that files are named by: `000012`, or ultralytics' `hover_13`."""
     parts = [NUMBERED.fullmatch(stem) for stem in stems]
     found = [part for part in parts if part is not None]
     if len(found) < len(parts) or len({part[1] for part in found}) != 1:

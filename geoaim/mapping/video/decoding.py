@@ -79,10 +79,7 @@ class _Run:
 
 
 def open_video_file(path: Path, threads: int | None) -> VideoFile:
-    """Decode the first frame of a video file, and read the properties that the file states.
-
-    `threads` is the number of decoding threads; None leaves it to the decoder.
-    """
+    """Decode the first frame of a video file, and read the properties that the file states."""
     with open_container(path) as container:
         stream = select_stream(container, path, threads)
         decoded = _decode(stream.codec_context, container.demux(stream))
@@ -132,13 +129,7 @@ def read_frames(file: VideoFile) -> Iterator[Frame]:
 
 
 def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterator[Frame]:
-    """Yield the frames displayed at given times, each once.
-
-    For each time only the frames from the preceding keyframe on are decoded, and no frame twice. A
-    keyframe within `slack` seconds of a time replaces the frame at that time, so that it can be
-    decoded alone. From a slack of two frames on, a frame that no other is predicted from is
-    replaced by the one before it.
-    """
+    """Yield the frames displayed at given times, each once."""
     if not file.seekable:
         yield from _select_shown(read_frames(file), times)
         return
@@ -425,11 +416,7 @@ TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds
 
 
 def read_frame_times(path: Path, start: float) -> Float[Array, " N"]:
-    """Read the times of all frames without decoding one.
-
-    MP4 and MOV have an index of decoding times, which are as far apart as presentation times where
-    frames are evenly spaced or are not reordered; otherwise the packets of the file are read.
-    """
+    """Read the times of all frames without decoding one."""
     with open_container(path) as container:
         stream = select_stream(container, path, None)
         unit = float(stream.time_base)

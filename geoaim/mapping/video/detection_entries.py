@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Shaped
+from jaxtyping import Shaped
 from numpy import ndarray as Array
 
 from geoaim.base.errors import GeoaimError
@@ -20,7 +20,8 @@ ROWS = (
 
 def convert_entry(value: Any) -> RawBoxes:
     """Convert the boxes of a frame, by their attributes alone."""
-    if hasattr(value, "columns") or _is_records(value):
+    is_records = isinstance(value, list) and len(value) > 0 and isinstance(value[0], dict)
+    if hasattr(value, "columns") or is_records:
         return _convert_table(to_table(value))
     if hasattr(value, "get_corners"):
         corners = None if value.corners is None else np.reshape(value.corners, (-1, 8))
@@ -80,10 +81,6 @@ def make_raw(
     )
 
 
-def _is_records(value: Any) -> bool:
-    return isinstance(value, list) and len(value) > 0 and isinstance(value[0], dict)
-
-
 def _convert_table(table: pd.DataFrame) -> RawBoxes:
     if not len(table):
         return make_raw(np.empty((0, 4)))
@@ -106,7 +103,7 @@ def _convert_array(values: Array, names: Any) -> RawBoxes:
         raise GeoaimError(f"boxes have the shape {values.shape}; {ROWS}")
     if not len(rest):
         return make_raw(box, is_plain=True)
-    score = [_is_score(column) for column in rest]
+    score = [bool(((column >= 0) & (column <= 1)).all()) for column in rest]
     whole = [bool((column % 1 == 0).all()) for column in rest]
     if len(rest) == 1 and (score[0] or whole[0]):
         if score[0]:
@@ -123,10 +120,6 @@ def _convert_array(values: Array, names: Any) -> RawBoxes:
     raise GeoaimError(
         f"arrays of boxes have {values.shape[1]} columns whose meaning is not plain; {ROWS}"
     )
-
-
-def _is_score(column: Float[Array, "m"]) -> bool:
-    return bool(((column >= 0) & (column <= 1)).all())
 
 
 def _name(numbers: Shaped[Array, "m"], names: Any = None) -> list[str]:

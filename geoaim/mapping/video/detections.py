@@ -85,11 +85,7 @@ DetectionSource = str | Path | pd.DataFrame | Iterable[Any] | Callable[[Frame], 
 
 
 class BoxReader:
-    """Boxes that are read and judged: a function from a `Frame` to its boxes.
-
-    What the numbers mean is judged by the size of the first frame, and by the video where it is
-    known; `summary` says in a line what was found and assumed.
-    """
+    """Boxes that are read and judged: a function from a `Frame` to its boxes."""
 
     def __init__(
         self, raw: RawBoxes, source: str, options: BoxOptions, listed: FrameList | None = None
@@ -280,16 +276,6 @@ def convert_boxes(value: Any, form: str | None = None) -> DetectedBoxes | None:
 
     Results of ultralytics have `boxes` or `obb`, with xyxy (or xyxyxyxy), conf, cls and id; those
     of supervision xyxy, confidence, class_id, tracker_id and names in `data`.
-
-    Args:
-        value: the boxes of one frame.
-        form: what the four numbers of a plain array are; None: left, top, right, bottom.
-
-    Returns:
-        The boxes; None for None.
-
-    Raises:
-        GeoaimError: boxes end before they begin, so that their numbers are others.
     """
     if value is None or isinstance(value, DetectedBoxes):
         return value

@@ -19,10 +19,7 @@ DRONE_MAKERS = ("DJI", "HASSELBLAD")  # their focal lengths leave out the digita
 
 
 def read_exif(paths: Sequence[str | Path], *, rate: float = 1.0) -> Telemetry | None:
-    """Read telemetry from the EXIF and DJI's XMP of photos; None when no photo has a position.
-
-    Time is the index of a photo over `rate` (frames per second), as in `open_video`.
-    """
+    """Read telemetry from the EXIF and DJI's XMP of photos; None when no photo has a position."""
     remarks = dict[str, str]()
     rows = [_read_exif_entry(Path(path), remarks) for path in paths]
     source = f"{paths[0]} and the images with it"

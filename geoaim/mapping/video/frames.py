@@ -105,15 +105,6 @@ def image_from_planes(
     Chroma is repeated, not interpolated, as by FFmpeg in `Frame.image`. FFmpeg rounds down, so that
     its images are darker by about one grey level.
 
-    Args:
-        y: (H, W) luma, integer or float.
-        u: (H / 2, W / 2), rounded up: blue difference, 128 for grey.
-        v: the same for red.
-        encoding: encoding of the planes, as `Frame.encoding` states it.
-
-    Returns:
-        (H, W, 3) RGB.
-
     >>> half = np.full((1, 1), 128.0)
     >>> image_from_planes(np.full((2, 2), 235.0), half, half, YuvEncoding(0.3, 0.1, False))[0, 0]
     array([255, 255, 255], dtype=uint8)

@@ -86,10 +86,7 @@ def _parse_seconds(line: re.Match[str]) -> float:
 
 
 def _parse_entry(text: str, remarks: dict[str, str]) -> dict[str, float]:
-    """Parse the fields of an entry, in degrees, metres and millimetres.
-
-    Fields whose meaning the file leaves open are left out, with the reason in `remarks`.
-    """
+    """Parse the fields of an entry, in degrees, metres and millimetres."""
     stated = {}
     for name, pattern in PATTERNS.items():
         found = [match[match.lastindex or 0] for match in re.finditer(pattern, text)]
@@ -116,10 +113,7 @@ def _parse_entry(text: str, remarks: dict[str, str]) -> dict[str, float]:
 
 
 def _parse_zoom(text: str) -> tuple[float, str]:
-    """Parse the digital zoom; with the problem, where fields contradict each other or are unknown.
-
-    Zooms are written as 2.00, or as 20000 where 10000 is none; 0 is none in EXIF, too.
-    """
+    """Parse the digital zoom; with the problem, where fields contradict or are unknown."""
     zooms = {}
     for name, value in ZOOM.findall(text):
         written = value.rstrip(",")

@@ -81,11 +81,7 @@ class Video:
         return FrameList(self.source, (self.width, self.height), self.rate, self.names, times)
 
     def find_time(self, index: int) -> float:
-        """Find the time of a frame by its number, s since the first.
-
-        Raises:
-            ValueError: the video has no frame of that number.
-        """
+        """Find the time of a frame by its number, s since the first."""
         times, count = self.listed.times, self.listed.count
         if index < 0 or (count is not None and index >= count):
             raise ValueError(f"{self.source} has {count} frames, from 0, and none is {index}")
@@ -205,10 +201,7 @@ def _open_file(path: Path, threads: int | None) -> Video:
 
 
 def _read_sidecar(path: Path, quarter_turns: int) -> Telemetry | None:
-    """Telemetry from the .SRT file beside a video, or None.
-
-    The heading is left out where the video is turned for display, since it may be that of either.
-    """
+    """Telemetry from the .SRT file beside a video, or None."""
     sidecars = [path.with_suffix(suffix) for suffix in (".SRT", ".srt")]
     found = next((read_srt(sidecar) for sidecar in sidecars if sidecar.exists()), None)
     if found is None or quarter_turns % 4 == 0:

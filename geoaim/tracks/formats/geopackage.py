@@ -16,8 +16,7 @@ import shapely
 
 from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_write
-from geoaim.base.limits import check_memory, refuse_damaged
-from geoaim.base.sqlite_files import open_sqlite
+from geoaim.base.limits import check_memory, open_sqlite, refuse_damaged
 from geoaim.base.world import World
 from geoaim.tracks.files import choose_own_world, place_rows
 from geoaim.tracks.formats.shared import TrackFormat

@@ -73,37 +73,24 @@ def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
 def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> Tracks:
     """Replace headings and speeds by those of the positions where most agents' contradict them.
 
-    Args:
-        path: the file that a warning names.
-        tracks: the tracks as the file has them.
-
-    Returns:
-        The tracks; speeds alone are replaced where headings are right, and nothing is where only
-        few agents contradict their positions, as one that reverses.
-
-    Raises:
-        TracksError: positions are a mirror image of the headings, as where x and y are swapped.
+    Raises TracksError where positions are a mirror image of headings, as if x and y were swapped.
     """
-    velocity = estimate_velocity(tracks, HALF_WINDOW_S, HALF_WINDOW_S)
-    known = tracks.present & np.isfinite(velocity[..., 0])
-    velocity = np.nan_to_num(velocity)
-    measured, signed = np.hypot(*velocity.T).T, np.nan_to_num(tracks.states[..., 3])
-    moving = known & (measured > MIN_MOVING_SPEED)
+    velocity = np.nan_to_num(estimate_velocity(tracks, HALF_WINDOW_S, HALF_WINDOW_S))
+    measured, stated, off = _measure_motion(tracks, velocity)
+    moving = measured > MIN_MOVING_SPEED
     judged = moving.any(axis=1)
     if not judged.any():
         return tracks
-    totals = [np.where(moving, one, 0.0).sum(axis=1)[judged] for one in (np.abs(signed), measured)]
+    totals = [np.where(moving, speed, 0.0).sum(axis=1)[judged] for speed in (stated, measured)]
     ratio = totals[0] / totals[1]
-    direction = np.arctan2(velocity[..., 1], velocity[..., 0]) + np.pi * (signed < 0)
-    off = np.abs(wrap_angle(np.where(moving, direction - tracks.states[..., 2], 0.0)))
-    turned = (off > MAX_HEADING_ERROR).sum(axis=1)[judged] > moving.sum(axis=1)[judged] / 2
+    turned = (off & moving).sum(axis=1)[judged] > moving.sum(axis=1)[judged] / 2
     wrong = np.abs(ratio - 1) > MAX_SPEED_SHARE
     wrong_headings, wrong_speeds = turned.mean() > MOST_TURNED, wrong.mean() > MOST
     if not (wrong_headings or wrong_speeds):
         return tracks
+    direction = np.arctan2(velocity[..., 1], velocity[..., 0])[moving]
     sums, differences = (
-        abs(np.exp(1j * (direction + sign * tracks.states[..., 2]))[moving].mean())
-        for sign in (1, -1)
+        abs(np.exp(1j * (direction + sign * tracks.states[moving, 2])).mean()) for sign in (1, -1)
     )
     if wrong_headings and sums > MIRRORED and differences < TURNED:
         raise TracksError(
@@ -140,16 +127,12 @@ def _check_motion(tracks: Tracks) -> list[_Check]:
     velocity = estimate_velocity(tracks, HALF_WINDOW_S, HALF_WINDOW_S)
     known = np.isfinite(velocity[..., 0])
     velocity = np.nan_to_num(velocity)
-    measured = np.hypot(velocity[..., 0], velocity[..., 1])
-    signed = np.nan_to_num(tracks.states[..., 3])
-    stated = np.abs(signed)
+    measured, stated, off = _measure_motion(tracks, velocity)
     highest = np.maximum(measured, stated)
     active = tracks.present & (highest > MIN_MOVING_SPEED)
     slack, share = MAX_SPEED_ERROR
     wrong_speed = np.abs(measured - stated) > np.maximum(slack, share * highest)
     moving = known & (np.minimum(measured, stated) > MIN_MOVING_SPEED)
-    direction = np.arctan2(velocity[..., 1], velocity[..., 0]) + np.pi * (signed < 0)
-    off = np.abs(wrap_angle(np.where(moving, direction - tracks.states[..., 2], 0.0)))
     acceleration = _measure_acceleration(tracks, velocity)
     return [
         _Check(
@@ -164,7 +147,7 @@ def _check_motion(tracks: Tracks) -> list[_Check]:
         _Check(
             "do not move where they head (are x and y swapped, or headings turned? To derive "
             "headings from positions, use a reader of geoaim.tracks.formats and its derive_motion)",
-            off > MAX_HEADING_ERROR,
+            off & moving,
             moving,
             NOISE,
         ),
@@ -175,6 +158,16 @@ def _check_motion(tracks: Tracks) -> list[_Check]:
             NOISE,
         ),
     ]
+
+
+def _measure_motion(
+    tracks: Tracks, velocity: Float[Array, "N T 2"]
+) -> tuple[Float[Array, "N T"], Float[Array, "N T"], Bool[Array, "N T"]]:
+    """Speeds by positions and as stated, and where agents do not move where they head."""
+    signed = np.nan_to_num(tracks.states[..., 3])
+    direction = np.arctan2(velocity[..., 1], velocity[..., 0]) + np.pi * (signed < 0)
+    off = np.abs(wrap_angle(direction - np.nan_to_num(tracks.states[..., 2])))
+    return np.hypot(*velocity.T).T, np.abs(signed), off > MAX_HEADING_ERROR
 
 
 def _measure_acceleration(tracks: Tracks, velocity: Float[Array, "N T 2"]) -> Float[Array, "N T"]:

@@ -32,6 +32,7 @@ from geoaim.mapping.georeference.point_files import MAX_NUMBER
 from geoaim.web.picking.session import (
     PickedPoint,
     PickingSession,
+    PickingTask,
     Vector,
     change_points,
     choose_name,
@@ -41,7 +42,6 @@ from geoaim.web.picking.session import (
 )
 from geoaim.web.picking.snap import SNAP_RADIUS_PX, snap_to_corner
 from geoaim.web.picking.state import describe_session
-from geoaim.web.picking.task import PickingTask
 
 Action = Mapping[str, Any]
 Outcome = tuple[PickingSession, dict[str, Any]]

@@ -11,7 +11,7 @@ from geoaim.aim.aim import AIM
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.progress import Progress, no_progress
 from geoaim.imagery.alignment.by_image import match_image
-from geoaim.imagery.alignment.prior import Prior
+from geoaim.imagery.alignment.result import Prior
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.uncertainty import predict_uncertainty
 

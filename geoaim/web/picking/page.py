@@ -24,9 +24,8 @@ from geoaim.base.progress import Progress, no_progress
 from geoaim.web.map_view import MapView
 from geoaim.web.picking.actions import handle, require_imagery
 from geoaim.web.picking.candidates import PairCandidate, propose_pairs
-from geoaim.web.picking.session import PickingSession, open_session
+from geoaim.web.picking.session import PickingSession, PickingTask, open_session
 from geoaim.web.picking.state import assess_session, describe_session
-from geoaim.web.picking.task import PickingTask
 from geoaim.web.tiles import TiledRaster, encode_picture, tile_array
 
 MAX_OVERLAY_PX = 1600  # longer side of the overlay

@@ -1,23 +1,91 @@
 """A session of picking control points: its points, undo and redo, and saving."""
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
+from geoaim.aim.aim import AIM
+from geoaim.aim.position import read_position_covariance
 from geoaim.base.errors import warn
 from geoaim.base.files import lock_folder
 from geoaim.base.geometry import transform_points
-from geoaim.base.world import world_from_crs
+from geoaim.base.world import LONLAT, world_from_crs
+from geoaim.imagery.mosaic import read_imagery
 from geoaim.mapping.georeference.control_points import ControlPoints, read_control_points
+from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.point_export import clean_text, write_control_points
 from geoaim.mapping.georeference.point_files import read_point_file
 from geoaim.mapping.georeference.reference_frame import FrameName
+from geoaim.mapping.video.video import open_video, read_frame
 from geoaim.web.picking.candidates import PairCandidate
-from geoaim.web.picking.task import PickingTask
+
+
+@dataclass(frozen=True, eq=False)
+class PickingTask:
+    """What control points are picked on."""
+
+    frame: UInt8[Array, "H W 3"]
+    frame_name: FrameName = None  # the frame of a video; None: its first one, or a single picture
+    # imagery on which the same places are picked; None: coordinates are typed
+    imagery: AIM | None = None
+    crs: str | None = LONLAT  # CRS of the coordinates; None for a local metric plane
+    path: Path | None = None  # the .csv that is written after each change
+    # rough georeference of the frame, as by telemetry, in the imagery's world
+    rough: Georeference | None = None
+
+    @property
+    def accuracy(self) -> float:
+        """One sigma of the places, metres: a pixel of the imagery they are picked on."""
+        return 0.0 if self.imagery is None else self.imagery.resolution
+
+    @property
+    def shared_covariance(self) -> Float[Array, "2 2"] | None:
+        """Covariance of the imagery's own place, square metres, which all points share."""
+        return None if self.imagery is None else read_position_covariance(self.imagery.report)
+
+
+def read_task(
+    video: str | Path,
+    path: str | os.PathLike[str],
+    *,
+    imagery: AIM | str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None,
+    time: float = 0.0,
+    crs: str | None = LONLAT,
+    imagery_crs: str | None = None,
+) -> PickingTask:
+    """Read the frame and the imagery on which control points are picked.
+
+    Args:
+        video: a video, images or one image.
+        path: the .csv of the points; if it exists, picking continues with its points.
+        imagery: an AIM, or what `read_imagery` reads; None: coordinates are typed.
+        time: time of the frame, s.
+        crs: CRS of the coordinates; None for a local metric plane.
+        imagery_crs: CRS of imagery that states none, such as an image with a world file.
+
+    Returns:
+        The task.
+
+    Raises:
+        GeoaimError: something cannot be read.
+    """
+    frame = read_frame(open_video(video), time)
+    if imagery is not None and not isinstance(imagery, AIM):
+        imagery = read_imagery(imagery, crs=imagery_crs)
+    return PickingTask(
+        frame=frame.image,
+        frame_name=frame.name or frame.index or None,
+        imagery=imagery,
+        crs=crs,
+        path=Path(path),
+    )
+
 
 Vector = tuple[float, float]
 
@@ -42,7 +110,7 @@ class PickingSession:
     past: tuple[tuple[PickedPoint, ...], ...] = ()  # earlier points, the last ones at the end
     future: tuple[tuple[PickedPoint, ...], ...] = ()  # points that were undone, the next at the end
     candidates: tuple[PairCandidate, ...] = ()  # proposed, and not accepted yet
-    saved: tuple[PickedPoint, ...] = ()  # the points in the task's file, as last read or written
+    saved: bytes = b""  # the content of the task's file, as last read or written
 
 
 def open_session(task: PickingTask) -> PickingSession:
@@ -51,11 +119,11 @@ def open_session(task: PickingTask) -> PickingSession:
         if task.path is not None and task.path.suffix != ".csv":
             raise ValueError(f"{task.path}: points are saved as .csv; other formats are exported")
         return PickingSession(task)
+    content = task.path.read_bytes()
     if task.path.suffix == ".csv" and not read_point_file(task.path):
-        return PickingSession(task)
+        return PickingSession(task, saved=content)
     saved = read_control_points(task.path, keep_incomplete=True)
-    points = _list_points(saved)
-    session = PickingSession(replace(task, crs=saved.crs), points, saved=points)
+    session = PickingSession(replace(task, crs=saved.crs), _list_points(saved), saved=content)
     _warn_of_other_place(session)
     return session
 
@@ -102,62 +170,22 @@ def redo(session: PickingSession) -> PickingSession:
 
 
 def save_points(session: PickingSession) -> PickingSession:
-    """Write all points to the task's file, after what others changed there is merged by name."""
+    """Write all points to the task's file, unless something else has changed it."""
     path = session.task.path
     if path is None:
         return session
     with lock_folder(path.parent, wait=True):
-        if path.exists() and (path.suffix != ".csv" or read_point_file(path)):
-            other = read_control_points(path, keep_incomplete=True)
-            if other.crs != session.task.crs and session.saved:
-                raise ValueError(
-                    f"{path} was saved in {other.crs} meanwhile, and these points are in "
-                    f"{session.task.crs}; start picking again to go on from that file"
-                )
-            session = _merge(session, _list_points(other))
+        if _read_bytes(path) != session.saved:
+            raise ValueError(
+                f"{path} was changed by another page or program meanwhile; start picking again to "
+                "go on from that file"
+            )
         write_control_points(collect_points(session), path)
-    return replace(session, saved=session.points)
+        return replace(session, saved=_read_bytes(path))
 
 
-def _merge(session: PickingSession, other: tuple[PickedPoint, ...]) -> PickingSession:
-    """Merge what differs in the file from what was saved last, into all states of the session."""
-    before, now, here = _index(session.saved), _index(other), _index(session.points)
-    if before == now:
-        return session
-    states = (session.points, *session.past, *session.future)
-    number = 1 + max((point.id for points in states for point in points), default=0)
-    new = [p for name, p in now.items() if name not in before and p != here.get(name)]
-    added = tuple(replace(point, id=number + i) for i, point in enumerate(new))
-    names: dict[int, str] = {}  # of points of this session whose names were taken meanwhile
-    for point in session.points:
-        if point.name in {p.name for p in new}:
-            called = (*session.points, *added, *(PickedPoint(0, name) for name in names.values()))
-            names[point.id] = choose_name(called)
-            warn(f"another {point.name!r} was saved meanwhile; this one is {names[point.id]!r} now")
-        elif point.name in before and before[point.name] not in (
-            here[point.name],
-            now.get(point.name),
-        ):
-            warn(f"{point.name!r} was changed elsewhere as well; it stays as it is here")
-
-    def merge(points: tuple[PickedPoint, ...]) -> tuple[PickedPoint, ...]:
-        renamed = [replace(point, name=names.get(point.id, point.name)) for point in points]
-        is_changed = {p.name: before.get(p.name) != replace(p, id=0) for p in renamed}
-        kept = [p for p in renamed if is_changed[p.name] or p.name in now]
-        merged = [p if is_changed[p.name] else replace(now[p.name], id=p.id) for p in kept]
-        return (*merged, *added)
-
-    return replace(
-        session,
-        points=merge(session.points),
-        past=tuple(map(merge, session.past)),
-        future=tuple(map(merge, session.future)),
-    )
-
-
-def _index(points: Sequence[PickedPoint]) -> dict[str, PickedPoint]:
-    """Map names to points without their numbers, which are of a session."""
-    return {point.name: replace(point, id=0) for point in points}
+def _read_bytes(path: Path) -> bytes:
+    return path.read_bytes() if path.exists() else b""
 
 
 def _list_points(saved: ControlPoints) -> tuple[PickedPoint, ...]:

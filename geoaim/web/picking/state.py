@@ -11,8 +11,7 @@ from geoaim.mapping.georeference.control_points import ControlPoints, select_poi
 from geoaim.mapping.georeference.transform_models import Points
 from geoaim.web.picking.candidates import measure_disagreement
 from geoaim.web.picking.feedback import PointFeedback, assess_points, describe_feedback
-from geoaim.web.picking.session import PickingSession, collect_points
-from geoaim.web.picking.task import PickingTask
+from geoaim.web.picking.session import PickingSession, PickingTask, collect_points
 
 MIN_AGREEING_PAIRS = 5  # two more than an affine map through them needs
 MAX_DISAGREEMENT = 3.0  # distance of a point from the proposed pairs, in standard deviations

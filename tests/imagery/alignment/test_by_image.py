@@ -9,7 +9,7 @@ from geoaim.base.geometry import transform_points
 from geoaim.base.world import World
 from geoaim.imagery.alignment.by_image import align_image, compute_log_false_alarms
 from geoaim.imagery.alignment.pipeline import apply_alignment
-from geoaim.imagery.alignment.prior import Prior
+from geoaim.imagery.alignment.result import Prior
 from tests.conftest import textured
 from tests.imagery.alignment.alignment_pairs import PHOTO, as_aim, made, misplaced
 

@@ -7,8 +7,14 @@ import pytest
 from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import transform_points
 from geoaim.base.world import World
-from geoaim.imagery.alignment.by_tracks import align_tracks, sample_poses
-from geoaim.imagery.alignment.prior import Prior
+from geoaim.imagery.alignment.by_tracks import (
+    MIN_SIGMA_M,
+    align_tracks,
+    compute_moments,
+    list_shifts,
+    sample_poses,
+)
+from geoaim.imagery.alignment.result import Prior
 from geoaim.tracks.tracks import Tracks
 from tests.conftest import textured
 from tests.imagery.alignment.alignment_pairs import as_aim, made, misplaced
@@ -24,6 +30,16 @@ def test_picture_is_aligned_under_traffic():
     assert np.linalg.norm(apart) < 1.0
     assert apart @ np.linalg.solve(found.covariance, apart) < 9.2
     assert found.model == "rigid"
+
+
+def test_moments_of_weights_do_not_depend_on_their_sum():
+    weight = np.zeros((5, 5))
+    weight[1, 3], weight[1, 1] = 3.0, 1.0
+    mean, covariance = compute_moments(weight)
+    right, left = list_shifts(5)[1, [3, 1]]
+    np.testing.assert_allclose(mean, 0.75 * right + 0.25 * left)
+    spread = 0.75 * 0.25 * (right - left)[0] ** 2
+    np.testing.assert_allclose(covariance, np.diag([spread, 0.0]) + MIN_SIGMA_M**2 * np.eye(2))
 
 
 def _straight_road():

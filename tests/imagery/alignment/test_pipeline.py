@@ -21,7 +21,7 @@ from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.before_after import draw_alignment
 from geoaim.imagery.alignment.pipeline import align_tiles
-from geoaim.imagery.alignment.prior import Prior
+from geoaim.imagery.alignment.result import Prior
 from geoaim.tracks.changes import to_world
 from tests.imagery.alignment.alignment_pairs import as_aim
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from geoaim.mapping.registration.register import choose_reference, register
-from geoaim.mapping.registration.rest import stands_still
+from geoaim.mapping.registration.rest import may_stand, stands_still
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import open_video
 from tests.conftest import textured
@@ -79,6 +79,15 @@ def test_an_overlay_is_never_covered_and_is_no_ground():
     overlay = film_road(is_overlay=True)
     assert not stands_still(list_frames(overlay))
     assert choose_reference(open_video(overlay), time=0.0).model != "rest"
+
+
+def test_ground_that_has_moved_by_a_pixel_does_not_rest():
+    ground = textured(np.random.default_rng(1), SIZE[0], SIZE[1] + 8)
+    first, *others = list_frames([ground[:, k : k + SIZE[1]].copy() for k in range(5)])
+    keyframe = choose_reference(open_video([first.image]), model="translation", time=0.0).keyframe
+    assert may_stand([first] * 3, keyframe)
+    assert not may_stand(others[:1] * 3, keyframe)
+    assert not may_stand([first, *others], keyframe)
 
 
 def test_few_frames_do_not_tell_that_a_camera_stands():

@@ -11,7 +11,8 @@ import pandas as pd
 import pytest
 
 from geoaim.base.errors import GeoaimError, GeoaimWarning
-from geoaim.mapping.video.detection_files import FORMATS
+from geoaim.mapping.video.detection_checks import name_classes
+from geoaim.mapping.video.detection_files import FORMATS, UAVDT_CLASSES
 from geoaim.mapping.video.detections import read_detections
 from geoaim.mapping.video.video import open_video
 
@@ -360,3 +361,16 @@ def test_the_docs_have_a_row_for_each_format():
     page = (Path(__file__).parents[3] / "docs/formats/detections.md").read_text()
     for known in FORMATS:
         assert f"\n| {known.name} |" in page
+
+
+def test_numbers_of_classes_count_from_0_in_built_in_names_and_from_what_a_list_has():
+    names = ["car", "bus"]
+    assert name_classes(["1", "3"], UAVDT_CLASSES, 1, is_builtin=True) == (["car", "bus"], "")
+    assert name_classes(["0", "1"], names, None, is_builtin=False) == (names, "")
+    found, remark = name_classes(["1", "2"], names, None, is_builtin=False)
+    assert found == names
+    assert "count from 1" in remark
+    assert name_classes(["7=", "7"], ["7=truck"], 0, is_builtin=False)[0] == ["7=", "truck"]
+    found, remark = name_classes(["0", "5"], names, 0, is_builtin=False)
+    assert found == ["car", "5"]
+    assert "5 have no name" in remark

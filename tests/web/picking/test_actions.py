@@ -12,8 +12,7 @@ from geoaim.base.world import World
 from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.web.picking.actions import handle
 from geoaim.web.picking.page import find_pairs
-from geoaim.web.picking.session import open_session
-from geoaim.web.picking.task import PickingTask
+from geoaim.web.picking.session import PickingTask, open_session
 from tests.web.picking.test_candidates import PIXELS
 
 SAMPLE = Path(__file__).parents[3] / "samples"
@@ -286,41 +285,15 @@ def test_a_point_that_the_proposed_pairs_disagree_with_is_named(place):
     assert "cannot be expressed" in reply["feedback"]["problem"]["text"]
 
 
-def list_saved_points(task):
-    saved = read_control_points(task.path, keep_incomplete=True)
-    return dict(zip(saved.names, saved.pixels.tolist(), strict=True))
-
-
-def test_two_sessions_on_one_file_keep_the_points_of_both(task):
+def test_a_file_that_was_changed_by_another_page_is_not_overwritten(task):
     first, second = open_session(task), open_session(task)
     first, _ = run(first, *({"action": "add", "u": 10.0 + i, "v": 20.0} for i in range(4)))
-    second, reply = run(second, {"action": "add", "u": 99.0, "v": 99.0})
-    assert "another 'point 1' was saved meanwhile" in reply["notes"][0]
-    assert list_saved_points(task)["point 5"] == [99.0, 99.0]
-    first, reply = run(first, {"action": "add", "u": 77.0, "v": 7.0, "name": "corner"})
-    assert reply["notes"] == []
-    assert sorted(list_saved_points(task)) == ["corner", *(f"point {i}" for i in range(1, 6))]
-    # undo takes back what this session did, and nothing of the other
-    run(first, {"action": "undo"}, {"action": "undo"})
-    assert sorted(list_saved_points(task)) == ["point 1", "point 2", "point 3", "point 5"]
-
-
-def test_a_point_that_was_moved_or_deleted_outside_is_not_written_back(task):
-    session, _ = run(
-        open_session(task), *({"action": "add", "u": 1.0 + i, "v": 2.0} for i in range(3))
-    )
-    other, _ = run(open_session(task), {"action": "move", "id": 1, "u": 50.0, "v": 50.0})
-    run(other, {"action": "delete", "id": 2})
-    run(session, {"action": "add", "u": 9.0, "v": 9.0})
-    assert list_saved_points(task) == {"point 1": [50, 50], "point 3": [3, 2], "point 4": [9, 9]}
-
-
-def test_a_point_that_both_changed_stays_and_is_named(task):
-    session, _ = run(open_session(task), {"action": "add", "u": 1.0, "v": 2.0})
-    run(open_session(task), {"action": "move", "id": 1, "u": 50.0, "v": 50.0})
-    _, reply = run(session, {"action": "move", "id": 1, "u": 60.0, "v": 60.0})
-    assert reply["notes"] == ["'point 1' was changed elsewhere as well; it stays as it is here"]
-    assert list_saved_points(task) == {"point 1": [60.0, 60.0]}
+    written = task.path.read_bytes()
+    same, reply = handle(second, {"action": "add", "u": 99.0, "v": 99.0})
+    assert "was changed by another page or program" in reply["error"]
+    assert (same, task.path.read_bytes()) == (second, written)
+    again, _ = run(open_session(task), {"action": "add", "u": 99.0, "v": 99.0})
+    assert len(again.points) == 5
 
 
 def test_a_file_that_became_unreadable_is_not_overwritten(task):

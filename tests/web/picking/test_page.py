@@ -17,8 +17,7 @@ from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.video.video import open_video, read_frame
 from geoaim.web.picking.actions import handle
 from geoaim.web.picking.page import draw_overlay, find_pairs, make_picking_view
-from geoaim.web.picking.session import open_session
-from geoaim.web.picking.task import PickingTask
+from geoaim.web.picking.session import PickingTask, open_session
 from tests.web.browser import open_view, serve, wait_for
 
 SAMPLES = Path(__file__).parents[3] / "samples"
