@@ -36,16 +36,18 @@ CLOSED_LOOP: Places = (
     *((855, "junction"), (856, "roundabout"), (857, "campus"), (858, "t")),
     *((861, "street"), (862, "roundabout"), (863, "campus"), (864, "junction")),
 )
-STEPS, LEARNING_RATE, WARMUP_STEPS = 1600, 5e-4, 20
+STEPS, LEARNING_RATE, WARMUP_STEPS = 1500, 5e-4, 20
 HISTORY, CHUNK_STEPS, CHUNKS, SAMPLES = MAX_HISTORY_STEPS, 40, 4, 2
 SEGMENT_STEPS, SEGMENTS = 50, 12  # of the bound, which is trained beside it
-BOUND_WEIGHT, KL_WEIGHT, MAX_NLL = 0.5, 3.0, 50.0
+BOUND_WEIGHT, KL_WEIGHT, MAX_NLL = 1.0, 3.0, 50.0
 BEST_WEIGHT = 0.7  # of the best of the samples; the rest is their mean
 MAX_GRADIENT_NORM = 1.0
 # standard deviations of starts: m aside, rad, share of the speed
 ASIDE_M, TURNED_RAD, SPEED_SHARE = 0.5, 0.06, 0.12
-# errors that count as one: m aside, rad, m/s
-ASIDE_SCALE_M, HEADING_SCALE_RAD, SPEED_SCALE_MPS = 0.3, 0.1, 0.7
+# errors that count as one: m aside, rad; and m/s: of who stands, per m/s of the pace, and at most,
+# so that who stands does not creep
+ASIDE_SCALE_M, HEADING_SCALE_RAD = 0.3, 0.1
+STANDING_SCALE_MPS, SPEED_SCALE_SHARE, MAX_SPEED_SCALE_MPS = 0.2, 0.1, 0.7
 CATCH_UP_S, MAX_CATCH_UP_MPS = 4.0, 3.0  # how pace makes up for a lag
 FAR_M, LATE_M = 8.0, 25.0  # who is farther from its path, or from where it should be, is lost
 MIN_MOVING_MPS = 1.0
@@ -198,7 +200,8 @@ def _compare(
     counted = paths.present[:, step] & (aside.detach().abs() < FAR_M) & (lag.abs() < LATE_M)
     beside = along.detach().abs() < MIN_MOVING_MPS * CATCH_UP_S  # not beyond the path's ends
     error = beside * (_huber(aside / ASIDE_SCALE_M) + _huber(turned / HEADING_SCALE_RAD))
-    return (error + _huber((pose[:, 3] - pace) / SPEED_SCALE_MPS)) * counted, counted
+    scale = (STANDING_SCALE_MPS + SPEED_SCALE_SHARE * pace).clamp_max(MAX_SPEED_SCALE_MPS)
+    return (error + _huber((pose[:, 3] - pace) / scale)) * counted, counted
 
 
 def _huber(error: Tensor) -> Tensor:
