@@ -187,11 +187,25 @@ def take_scene_files(command: Callable[..., None]) -> Callable[..., None]:
         bound = signature.bind(*args, **kwargs)
         bound.apply_defaults()
         files = {option.name: bound.arguments.pop(option.name) for option in shared}
+        _open_folder(bound.arguments)
         command(**bound.arguments, files=files)
 
     run.__signature__ = signature  # type: ignore[attr-defined]  # typer reads both
     run.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
     return run
+
+
+def _open_folder(arguments: dict[str, Any]) -> None:
+    """Take the map and the tracks of a folder that `geoaim place` wrote, where it is given."""
+    from geoaim.base.files import MAP_FILE, TRACKS_FILE, find_in_folder
+
+    given = arguments.get("aim") or next(iter(arguments.get("maps") or ()), None)
+    if given is None or find_in_folder(given, MAP_FILE) == given:
+        return
+    if arguments["tracks"] is None and find_in_folder(given, TRACKS_FILE) != given:
+        arguments["tracks"] = given / TRACKS_FILE
+    if "aim" in arguments:
+        arguments["aim"] = given / MAP_FILE
 
 
 COLUMNS = tuple(field.name for field in fields(SceneSource))
