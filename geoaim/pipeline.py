@@ -25,7 +25,7 @@ from geoaim.imagery.sources import Source
 from geoaim.mapping.georeference.control_points import ControlPointSource
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
-from geoaim.mapping.report import report_georeference
+from geoaim.mapping.report import report_georeference, report_position
 from geoaim.mapping.video.detections import DetectionSource
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.rendering.pictures import render_map_video, write_pictures
@@ -178,7 +178,9 @@ def _scale(video: Video, aim: AIM, progress: Progress) -> AIM:
     )
     georeference = report_georeference(place, None)
     georeference["scale_by_vehicles"] = {"boxes": proposed.boxes, "sigma": SIGMA}
-    report = {**aim.report, "georeference": georeference}
+    claims = {"georeference": georeference, "position": report_position(place, None)}
+    kept = {name: value for name, value in aim.report.items() if name != "place"}
+    report = {**kept, **claims}
     return replace(aim, world_from_image=place.world_from_image, report=report)
 
 

@@ -44,7 +44,7 @@ def test_the_examples_in_the_help_run(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "usage"),
     [
-        ("predict", "predict AIM --tracks TRACKS -o OUTPUT [OPTIONS]"),
+        ("predict", "predict AIM -o OUTPUT [OPTIONS]"),
         ("align", "align IMAGERY... -o OUTPUT [OPTIONS]"),
         ("bench", "bench STAGE VIDEO [OPTIONS]"),
         ("catalog build", "catalog build RECORDINGS -o OUTPUT [OPTIONS]"),
