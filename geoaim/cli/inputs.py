@@ -15,6 +15,7 @@ from geoaim.cli import options
 from geoaim.cli.options import AgentKind
 
 if TYPE_CHECKING:
+    from geoaim.aim.aim import AIM
     from geoaim.base.world import World
     from geoaim.hdmap.lanelet2 import HDMap
     from geoaim.prediction.itra import ITRA
@@ -133,6 +134,24 @@ def get_horizon(model: "ITRA", duration: float | None = None) -> int:
         return config.horizon
     duration = DEFAULT_DURATIONS_S[config.kind] if duration is None else duration
     return max(1, round(duration / config.dt))
+
+
+def read_any_aim(path: Path) -> "AIM":
+    """Read an AIM, or imagery in its stated place as an AIM."""
+    from rasterio.errors import RasterioError
+
+    from geoaim.aim.files import read_aim
+    from geoaim.base.files import MAP_FILE, find_in_folder
+    from geoaim.base.raster_files import open_raster_file
+    from geoaim.imagery.mosaic import read_imagery
+
+    file = find_in_folder(path, MAP_FILE)
+    try:
+        with open_raster_file(file) as raster:
+            is_imagery = "GEOAIM" not in raster.tags() and raster.crs is not None
+    except (OSError, RasterioError):  # read_aim says what is wrong
+        is_imagery = False
+    return read_imagery(file) if is_imagery else read_aim(file)
 
 
 def read_any_lights(
