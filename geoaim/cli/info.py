@@ -287,11 +287,14 @@ def _describe_hdmap(source: str) -> Description:
 
 
 def _describe_model(source: str) -> Description:
+    from geoaim.base.limits import refuse_damaged
     from geoaim.prediction.checkpoints import read_state
+    from geoaim.prediction.config import Config
 
     state = read_state(source)
-    config = state.get("config", {})
-    facts = {"predicts": f"{config['kind']}s, {config['dt']:g} s a step"} if config else {}
+    with refuse_damaged(source, GeoaimError, "a model or a checkpoint of this version"):
+        config = Config(**state["config"])
+        facts = {"predicts": f"{config.kind}s, {config.dt:g} s a step"}
     if "optimiser" in state:
         return "training checkpoint", facts, ()
     commands = (

@@ -94,6 +94,11 @@ def predict(
         f"{output}: {samples} futures of {horizon * model.config.dt:g} s after "
         f"{float(scene.times[start]):g} s, {predicted} agents"
     )
+    if weights is None:
+        console.print(
+            "The model does not know this place: at some, constant velocity with noise is as good "
+            "or better. Compare by geoaim evaluate; learn the place by geoaim train"
+        )
 
 
 DEFAULT_SAMPLES = 10  # as in the paper's figures

@@ -35,6 +35,7 @@ MOST_TURNED = 0.25  # share of agents that head elsewhere than they move: so man
 MOST = 0.5  # share of the agents whose columns contradict their motion, so that none are used
 NOISE = 0.05  # share of states that may be wrong without a warning
 NEARLY_ALL = 0.9  # share with which a file is refused
+MIRRORED, TURNED = 0.9, 0.7  # resultants of angles: over one and under the other, axes are swapped
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +80,9 @@ def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> 
     Returns:
         The tracks; speeds alone are replaced where headings are right, and nothing is where only
         few agents contradict their positions, as one that reverses.
+
+    Raises:
+        TracksError: positions are a mirror image of the headings, as where x and y are swapped.
     """
     velocity = estimate_velocity(tracks, HALF_WINDOW_S, HALF_WINDOW_S)
     known = tracks.present & np.isfinite(velocity[..., 0])
@@ -97,6 +101,15 @@ def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> 
     wrong_headings, wrong_speeds = turned.mean() > MOST_TURNED, wrong.mean() > MOST
     if not (wrong_headings or wrong_speeds):
         return tracks
+    sums, differences = (
+        abs(np.exp(1j * (direction + sign * tracks.states[..., 2]))[moving].mean())
+        for sign in (1, -1)
+    )
+    if wrong_headings and sums > MIRRORED and differences < TURNED:
+        raise TracksError(
+            f"{Path(path)}: {turned.sum()} agents do not move where they head: positions are a "
+            "mirror image of the headings. Are x and y swapped, or does y count downwards?"
+        )
     names, found = "Headings and speeds are", f"{turned.sum()} agents do not move where they head"
     if not wrong_headings:
         names = "Speeds are"
