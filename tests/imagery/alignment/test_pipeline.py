@@ -72,7 +72,7 @@ def test_a_map_of_a_video_keeps_its_coverage_doubt_and_report(aim, tmp_path):
     assert found.report["before_alignment"] == {"georeference": georeference}
     assert "georeference" not in found.report
     by_hand = align_tiles(tmp_path / "map.tif", shift=Shift(1.0, 2.0))
-    np.testing.assert_allclose(by_hand.corners, built.corners + (1.0, 2.0), atol=1e-6)
+    np.testing.assert_allclose(by_hand.corners, built.corners + np.array([1.0, 2.0]), atol=1e-6)
     coarse = align_tiles(tmp_path / "map.tif", aim=aim, resolution=0.5)  # as any imagery
     assert coarse.resolution == pytest.approx(0.5, rel=0.02)
 
