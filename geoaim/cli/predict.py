@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 @take_scene_files
 def predict(
     aim: options.AimFile,
-    tracks: options.TracksFile,
     output: Annotated[Path, options.output(".csv, .png, .mp4 or .gif to write")],
+    tracks: options.SceneTracks = None,
     kind: options.Kind = "vehicles",
     weights: options.WeightsFile = None,
     at: Annotated[
@@ -109,8 +109,8 @@ def compare(
     maps: Annotated[
         list[Path], typer.Argument(help="maps of one place: AIMs, or HD maps as draw writes them")
     ],
-    tracks: options.TracksFile,
     output: Annotated[Path, options.output(".png to write")],
+    tracks: options.SceneTracks = None,
     kind: options.Kind = "vehicles",
     weights: Annotated[
         list[Path] | None,
