@@ -74,6 +74,8 @@ if TYPE_CHECKING:
     from geoaim.mapping.video.detections import read_detections as read_detections
     from geoaim.mapping.video.video import Video as Video
     from geoaim.mapping.video.video import open_video as open_video
+    from geoaim.pipeline import Evidence as Evidence
+    from geoaim.pipeline import place_video as place_video
     from geoaim.rendering.scene import Scene as Scene
     from geoaim.rendering.scene import make_scene as make_scene
     from geoaim.tracking.find_vehicles import find_vehicles as find_vehicles
@@ -116,7 +118,9 @@ _MODULE_OF_NAME = {
     "read_imagery": "geoaim.imagery.mosaic",
     "read_lights": "geoaim.tracks.lights",
     "read_tracks": "geoaim.tracks.formats.formats",
+    "Evidence": "geoaim.pipeline",
     "place_by_imagery": "geoaim.imagery.alignment.placing",
+    "place_video": "geoaim.pipeline",
     "rectify": "geoaim.aim.rectification",
     "register": "geoaim.mapping.registration.register",
     "track_video": "geoaim.tracking.pipeline",

@@ -9,7 +9,7 @@ import pytest
 import geoaim
 from geoaim.base import errors
 
-CLASSES = ["AIM", "HDMap", "Lights", "Scene", "Tracks", "Video", "World"]
+CLASSES = ["AIM", "Evidence", "HDMap", "Lights", "Scene", "Tracks", "Video", "World"]
 EXCEPTIONS = ["GeoaimError", "GeoaimWarning"]
 FUNCTIONS = [
     "align_tiles",
@@ -21,6 +21,7 @@ FUNCTIONS = [
     "find_vehicles",
     "pick",
     "place_by_imagery",
+    "place_video",
     "export_texture",
     "make_scene",
     "open_video",

@@ -21,13 +21,19 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from benchmarks.alignment.pairs import Pair, make_pairs, measure_error, misplace_picture
+from benchmarks.alignment.pairs import (
+    Pair,
+    make_pairs,
+    measure_error,
+    misplace_picture,
+    move_to_aim,
+)
 from benchmarks.alignment.real import measure_rotterdam, measure_songdo, measure_synthetic
 from benchmarks.charts import draw_fronts
 from benchmarks.data import find_data
 from benchmarks.results import ChartFile, JsonFile, format_table, write_rows
 from geoaim.base.errors import AlignmentError
-from geoaim.base.geometry import from_opencv, translation
+from geoaim.base.geometry import from_opencv
 from geoaim.imagery.alignment import template_matching
 from geoaim.imagery.alignment.by_image import align_image
 
@@ -102,7 +108,7 @@ def _compare_methods(
         replace(one, aim=other.aim, name="another place")
         for one, other in zip(cases, cases[trials * 5 :] + cases[: trials * 5], strict=True)
     ]
-    others = [_move_to_aim(case) for case in others[::trials]]
+    others = [move_to_aim(case) for case in others[::trials]]
     return [_measure_method(name, method, cases, others) for name, method in methods.items()]
 
 
@@ -127,15 +133,6 @@ def _measure_method(
         "accepted for another place": f"{accepted} of {len(others)}",
         "s": float(np.median(durations)),
     }
-
-
-def _move_to_aim(case: Pair) -> Pair:
-    """Move the picture of another place to where the AIM is."""
-    shift = case.aim.corners.mean(axis=0) - case.picture.corners.mean(axis=0)
-    matrix = translation(*shift) @ case.picture.world_from_image
-    return replace(
-        case, picture=replace(case.picture, world_from_image=matrix, world=case.aim.world)
-    )
 
 
 def _measure_case(pair: Pair, method: Method) -> tuple[float, float, float]:

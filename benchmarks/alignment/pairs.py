@@ -11,7 +11,7 @@ from benchmarks.synthetic import draw_place, make_place, make_sample, tracks_of,
 from benchmarks.synthetic.imagery import make_other_day, photograph
 from benchmarks.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.aim.aim import AIM
-from geoaim.base.geometry import make_similarity, transform_points
+from geoaim.base.geometry import make_similarity, transform_points, translation
 from geoaim.tracks.tracks import Tracks
 
 PICTURE_RESOLUTIONS = (0.3, 0.4, 0.5, 0.6)  # m a pixel
@@ -43,12 +43,12 @@ def misplace_picture(pair: Pair, generator: np.random.Generator) -> Pair:
     return replace(pair, picture=moved, stated_from_true=matrix)
 
 
-def make_pairs(seeds: int) -> Iterator[Pair]:
-    """Make places of each kind with the seeds 1 to `seeds`, and a picture of each, not misplaced.
+def make_pairs(seeds: int, first: int = 1) -> Iterator[Pair]:
+    """Make places of each kind with some seeds, and a picture of each, not misplaced.
 
     A picture is of another day and by another sensor than the AIM.
     """
-    for seed in range(1, seeds + 1):
+    for seed in range(first, first + seeds):
         for kind in STANDARD_KINDS:
             place = make_place(seed, kind=kind)
             resolution = PICTURE_RESOLUTIONS[seed % len(PICTURE_RESOLUTIONS)]
@@ -66,6 +66,15 @@ def make_pairs(seeds: int) -> Iterator[Pair]:
                 for image, metres in ((ground, AIM_RESOLUTION), (photo, resolution))
             )
             yield Pair(f"{kind} {seed}", aim, picture, np.eye(3), tracks)
+
+
+def move_to_aim(case: Pair) -> Pair:
+    """Move the picture of another place to where the AIM is."""
+    shift = case.aim.corners.mean(axis=0) - case.picture.corners.mean(axis=0)
+    matrix = translation(*shift) @ case.picture.world_from_image
+    return replace(
+        case, picture=replace(case.picture, world_from_image=matrix, world=case.aim.world)
+    )
 
 
 def measure_error(pair: Pair, true_from_stated: Float[Array, "3 3"]) -> float:

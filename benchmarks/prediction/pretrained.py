@@ -1,13 +1,15 @@
 """The models that come with the package: their training, and their evaluation at test places.
 
 Two stages: on clean maps and exact tracks, as the tables of the paper have them; then on the same
-places with standing agents, detection noise, and maps of all sorts (`realistic`).
+places with standing agents, detection noise, and maps of all sorts (`realistic`). Vehicles have a
+third one, in which they drive on from where they have brought themselves (`closed_loop`).
 """
 
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from benchmarks.prediction.closed_loop import make_closed_loop
 from benchmarks.prediction.models import train_model, train_once
 from benchmarks.prediction.places import TEST, TRAIN, Places, make_places
 from benchmarks.prediction.protocol import PEDESTRIANS, VEHICLES
@@ -45,6 +47,9 @@ def run(workspace: Workspace) -> list[Path]:
         model.config = replace(
             model.config, latent_scale=LATENT_SCALES[kind], brakes=kind == "vehicle"
         )
+        if kind == "vehicle":
+            folder = workspace.models / "vehicle_closed_loop"
+            model = make_closed_loop(model, folder, workspace.progress)
         written.append(workspace.folder / "pretrained" / f"{kind}.pt")
         write_model(model, written[-1])
         metrics[f"{kind}s, ITRA"] = evaluate_case(model.sample, Case(name, "aim"), config, places)

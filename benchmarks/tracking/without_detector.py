@@ -27,12 +27,16 @@ from benchmarks.stills import STILLS
 from benchmarks.tracking.benchmark import KINDS, TEST_SEED, VALIDATION_SEED
 from benchmarks.tracking.filmed_cases import FilmedCase, film_drawn, film_still
 from benchmarks.tracking.scores import BoxView, compute_iou, make_view, match_frames, score_tracks
+from geoaim.base.errors import TracksError
 from geoaim.base.geometry import transform_points
 from geoaim.base.progress import no_progress
+from geoaim.tracking.ground_grid import measure_resolution
 from geoaim.tracking.pipeline import track_video
+from geoaim.tracking.scale import propose_scale
 from geoaim.tracks.agent_types import find_group
 
-SECONDS, STILL_FRAMES = 12.0, 120
+SECONDS, STILL_FRAMES = 6.0, 60
+PLACES = KINDS[:2]  # each takes minutes
 STILL_KINDS: tuple[Kind, ...] = ("plain", "queue")  # of the videos of `STILLS`
 BORDER_PX = 25.0  # vehicles whose middles are nearer to the frame's border are not judged
 MIN_MOVING_SPEED = 1.0  # m/s
@@ -59,7 +63,19 @@ def measure_case(case: FilmedCase) -> dict[str, Any]:
         hits = int(mask[pairs[:, 0], pairs[:, 2]].sum())
         row |= {f"{name} states": count, f"{name} recall": hits / count if count else np.nan}
     row["precision"] = len(pairs) / max(int(tracks.visible.sum()), 1)
-    return row | score_tracks(judged, tracks)
+    row |= score_tracks(judged, tracks)
+    return row | {"proposed scale / true": _compare_scale(case)}
+
+
+def _compare_scale(case: FilmedCase) -> float:
+    """The scale that is proposed by the vehicles over the true one; NaN where none is."""
+    try:
+        proposed = propose_scale(case.video, case.aim, progress=no_progress)
+    except TracksError:
+        return np.nan
+    return proposed.resolution / measure_resolution(
+        np.linalg.inv(case.frame_from_world[0]), case.size
+    )
 
 
 def _view(case: FilmedCase, tracks: Any, kept: Bool[Array, " N"]) -> BoxView:
@@ -87,7 +103,7 @@ def _drop_others(tracks: BoxView, judged: BoxView, others: BoxView) -> Bool[Arra
 
 def make_cases(seed: int, folder: Path) -> Iterator[FilmedCase]:
     """Make the videos of both generators."""
-    for number, kind in enumerate(KINDS):
+    for number, kind in enumerate(PLACES):
         yield film_drawn(kind, seed + number, folder, seconds=SECONDS)
     if find_data() is not None:
         for still, difficulty in zip(STILLS, STILL_KINDS, strict=True):

@@ -29,7 +29,7 @@ from geoaim.base.checksums import (
     write_checksum,
 )
 from geoaim.base.errors import AimError
-from geoaim.base.files import atomic_write
+from geoaim.base.files import MAP_FILE, atomic_write, find_in_folder
 from geoaim.base.geometry import translation
 from geoaim.base.grid import Grid
 from geoaim.base.limits import check_memory, refuse_damaged
@@ -100,7 +100,7 @@ def write_rgb(aim: AIM, path: str | os.PathLike[str]) -> None:
 
 
 def read_aim(path: str | os.PathLike[str]) -> AIM:
-    """Read a file that `write_aim` wrote.
+    """Read a file that `write_aim` wrote, or the map in a folder that `geoaim place` wrote.
 
     A file that a GIS program has cropped or resampled since is read with its new transform, as
     long as its CRS and bands are the same.
@@ -109,6 +109,7 @@ def read_aim(path: str | os.PathLike[str]) -> AIM:
         FileNotFoundError: there is no such file.
         AimError: the file is not an AIM, is damaged, or needs too much memory.
     """
+    path = find_in_folder(path, MAP_FILE)
     with open_aim(path) as (dataset, grid, report):
         assert grid.world is not None
         claim = f"{dataset.height} x {dataset.width} pixels"
@@ -138,7 +139,8 @@ def open_aim(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Grid, dict[str
         FileNotFoundError: there is no such file.
         AimError: the file is not an AIM, or is damaged.
     """
-    if not Path(path).exists():
+    path = find_in_folder(path, MAP_FILE)
+    if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     has_checksum = verify_checksum(path, FORMAT)
     with (

@@ -72,6 +72,11 @@ def _summarize_georeference(georeference: Mapping[str, Any]) -> Lines:
     lines = {"georeference": approximate + georeference["model"]}
     if georeference.get("given_scale"):
         lines["scale"] = "as given; nothing in the frames checks it"
+        if proposed := georeference.get("scale_by_vehicles"):
+            lines["scale"] = (
+                f"proposed: {proposed['boxes']} boxes of vehicles are as large as cars, to about "
+                f"{proposed['sigma']:.0%} (1 sigma)"
+            )
     elif uncertainty := georeference.get("uncertainty"):
         lines["uncertainty (95 %)"] = (
             f"{format_metres(uncertainty['middle_m'])} in the middle, "

@@ -123,6 +123,16 @@ def check_new_folder(folder: Path) -> None:
         raise ValueError(f"{folder} is in use and cannot be replaced; name a new folder in it")
 
 
+MAP_FILE, TRACKS_FILE = "map.tif", "tracks.csv"  # in a folder that `geoaim place` wrote
+
+
+def find_in_folder(path: str | os.PathLike[str], name: str) -> Path:
+    """Find a file of `geoaim place` where its folder is given; any other path stays as it is."""
+    folder = Path(path)
+    has_both = (folder / MAP_FILE).is_file() and (folder / name).is_file()
+    return folder / name if has_both else folder
+
+
 def write_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
     """Write a figure as a PNG of 100 pixels per inch, by `atomic_write`."""
     from matplotlib.text import Text

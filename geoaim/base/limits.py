@@ -8,7 +8,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TextIO, cast
 
-from geoaim.base.errors import GeoaimError
+from geoaim.base.errors import GeoaimError, SettingError
 
 MAX_GB_VARIABLE = "GEOAIM_MAX_GB"  # environment variable
 DEFAULT_MAX_GB = 1.0
@@ -26,13 +26,13 @@ def read_memory_limit() -> float:
     """Read how many bytes may be allocated even for a small file: 1e9 times `GEOAIM_MAX_GB`.
 
     Raises:
-        ValueError: that environment variable is not a number.
+        SettingError: that environment variable is not a number.
     """
     text = os.environ.get(MAX_GB_VARIABLE, str(DEFAULT_MAX_GB))
     try:
         return float(text) * 1e9
     except ValueError:
-        raise ValueError(f"{MAX_GB_VARIABLE} is {text!r}; a number of GB is needed") from None
+        raise SettingError(f"{MAX_GB_VARIABLE} is {text!r}; a number of GB is needed") from None
 
 
 def check_memory(
@@ -110,7 +110,7 @@ def refuse_damaged(
     """Turn whatever a library raises on a file's content into an `error_type` that names the file.
 
     `needed` is what the file should be, such as "a GeoTIFF"; with `reads_once` it may be a pipe. A
-    GeoaimError, a warning, and an error about a missing or forbidden file stay what they are.
+    GeoaimError, a warning, and an error about a setting or a missing or forbidden file stay so.
     """
     if os.path.isdir(path):
         raise error_type(f"{path} is a folder; {needed} is needed")
@@ -119,7 +119,7 @@ def refuse_damaged(
     try:
         with name_file(path):
             yield
-    except (GeoaimError, Warning, FileNotFoundError, PermissionError):
+    except (GeoaimError, SettingError, Warning, FileNotFoundError, PermissionError):
         raise
     except Exception as error:  # parsers raise errors of their own, and of every kind
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_REASON_CHARS]

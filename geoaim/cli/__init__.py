@@ -14,6 +14,7 @@ from geoaim.cli.evaluate import evaluate
 from geoaim.cli.info import info
 from geoaim.cli.maps import build, draw, frame, register, texture
 from geoaim.cli.pages import pick, view
+from geoaim.cli.place import place
 from geoaim.cli.predict import compare, predict
 from geoaim.cli.simulate import render, simulate
 from geoaim.cli.testing import doctor, sample
@@ -22,7 +23,7 @@ from geoaim.cli.train import train
 
 CATALOG_GROUP = "Make a map"
 GROUPS = {
-    CATALOG_GROUP: (pick, build, align, draw, frame, register),
+    CATALOG_GROUP: (place, pick, build, align, draw, frame, register),
     "Tracks": (track, convert),
     "Look at maps and files": (info, view, render, texture),
     "Simulate and predict": (simulate, predict, compare, evaluate, train),

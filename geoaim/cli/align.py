@@ -8,7 +8,7 @@ import typer
 
 from geoaim.cli import options
 from geoaim.cli.console import print_result, report_errors
-from geoaim.cli.inputs import read_any_tracks
+from geoaim.cli.inputs import read_any_aim, read_any_tracks
 from geoaim.cli.outputs import check_map_output
 from geoaim.imagery.alignment.result import DEFAULT_PRIOR, Prior
 
@@ -28,7 +28,7 @@ def align(
     tracks_world: options.TracksWorld = None,
     tracks_resolution: options.TracksResolution = None,
     tracks_frame_rate: options.TracksFrameRate = None,
-    aim: Annotated[Path | None, typer.Option(help="AIM of the same place")] = None,
+    aim: Annotated[Path | None, typer.Option(help="AIM or orthophoto of the same place")] = None,
     gcps: options.ControlPoints = None,
     shift: Annotated[
         str | None,
@@ -91,7 +91,7 @@ def align(
 
     Example: geoaim align samples/ortho.tif --tracks samples/tracks.csv -o ortho.tif
     """
-    from geoaim.aim.files import read_aim, write_aim, write_rgb
+    from geoaim.aim.files import write_aim, write_rgb
     from geoaim.base.files import atomic_files, write_figure
     from geoaim.imagery.alignment.before_after import draw_alignment
     from geoaim.imagery.alignment.pipeline import align_tiles
@@ -100,7 +100,7 @@ def align(
 
     with report_errors():
         look = check_map_output(output, imagery, [aim, tracks, gcps], recursive=True)
-        reference = None if aim is None else read_aim(aim)
+        reference = None if aim is None else read_any_aim(aim)
         agents = None
         if tracks is not None:
             agents = read_any_tracks(tracks, tracks_world, tracks_resolution, tracks_frame_rate)

@@ -37,7 +37,7 @@ def evaluate(
     aim: Annotated[
         Path | None, typer.Argument(help="AIM, with --tracks; or give --windows instead")
     ] = None,
-    tracks: options.OptionalTracks = None,
+    tracks: options.SceneTracks = None,
     windows: options.WindowsFolder = None,
     images: options.WindowImages = None,
     scenes: options.WindowScenes = None,

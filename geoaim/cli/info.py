@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from geoaim.base.errors import GeoaimError
+from geoaim.base.files import MAP_FILE, TRACKS_FILE, find_in_folder
 from geoaim.cli import options
 from geoaim.cli.console import console, print_result, report_errors
 
@@ -60,7 +61,9 @@ MAP_COMMANDS = (
     "predict FILE --tracks tracks.csv -o futures.png",
     "train FILE --tracks tracks.csv -o model",
 )
+FOLDER_COMMANDS = ("view FILE", "predict FILE -o futures.png", "train FILE -o model")
 VIDEO_COMMANDS = (
+    "place FILE -o FOLDER",
     "build FILE --frame-resolution 0.05 -o map.tif",  # a first look
     "pick FILE -o points.csv",
     "pick FILE --imagery ortho.tif -o points.csv",
@@ -113,6 +116,12 @@ def _describe_folder(folder: Path) -> Description:
         kind, facts, commands = _describe_model(str(folder / "model.pt"))
         inside = tuple(command.replace("FILE", "FILE/model.pt") for command in commands)
         return f"folder of a {kind}", facts, inside
+    map_file, tracks_file = (find_in_folder(folder, name) for name in (MAP_FILE, TRACKS_FILE))
+    if map_file != folder:
+        _, facts, _ = _describe_raster(str(map_file))
+        if tracks_file != folder:
+            facts |= _describe_tracks(str(tracks_file))[1]
+        return "folder of geoaim place", facts, FOLDER_COMMANDS
     describers = [_describe_tracks, _describe_imagery, _describe_video]
     rasters = any(file.suffix.lower() in (".tif", ".tiff") for file in folder.rglob("*"))
     if rasters:  # whatever lies beside them
@@ -195,7 +204,7 @@ def _describe_video(source: str) -> Description:
         facts["telemetry"] = "yes" if video.telemetry is not None else "none beside it"
         return "video", facts, VIDEO_COMMANDS
     if video.frame_count == 1:
-        return "image", facts, (*VIDEO_COMMANDS[2:], STILL_COMMAND)
+        return "image", facts, (*VIDEO_COMMANDS[3:], STILL_COMMAND)
     return "images", {"number": str(video.frame_count), **facts}, VIDEO_COMMANDS
 
 
@@ -278,11 +287,14 @@ def _describe_hdmap(source: str) -> Description:
 
 
 def _describe_model(source: str) -> Description:
+    from geoaim.base.limits import refuse_damaged
     from geoaim.prediction.checkpoints import read_state
+    from geoaim.prediction.config import Config
 
     state = read_state(source)
-    config = state.get("config", {})
-    facts = {"predicts": f"{config['kind']}s, {config['dt']:g} s a step"} if config else {}
+    with refuse_damaged(source, GeoaimError, "a model or a checkpoint of this version"):
+        config = Config(**state["config"])
+        facts = {"predicts": f"{config.kind}s, {config.dt:g} s a step"}
     if "optimiser" in state:
         return "training checkpoint", facts, ()
     commands = (

@@ -15,6 +15,7 @@ from geoaim.cli import options
 from geoaim.cli.options import AgentKind
 
 if TYPE_CHECKING:
+    from geoaim.aim.aim import AIM
     from geoaim.base.world import World
     from geoaim.hdmap.lanelet2 import HDMap
     from geoaim.prediction.itra import ITRA
@@ -135,6 +136,24 @@ def get_horizon(model: "ITRA", duration: float | None = None) -> int:
     return max(1, round(duration / config.dt))
 
 
+def read_any_aim(path: Path) -> "AIM":
+    """Read an AIM, or imagery in its stated place as an AIM."""
+    from rasterio.errors import RasterioError
+
+    from geoaim.aim.files import read_aim
+    from geoaim.base.files import MAP_FILE, find_in_folder
+    from geoaim.base.raster_files import open_raster_file
+    from geoaim.imagery.mosaic import read_imagery
+
+    file = find_in_folder(path, MAP_FILE)
+    try:
+        with open_raster_file(file) as raster:
+            is_imagery = "GEOAIM" not in raster.tags() and raster.crs is not None
+    except (OSError, RasterioError):  # read_aim says what is wrong
+        is_imagery = False
+    return read_imagery(file) if is_imagery else read_aim(file)
+
+
 def read_any_lights(
     lights: Path | None, stop_lines: Path | None, hdmap: "HDMap | None", world: "World"
 ) -> "Lights | None":
@@ -187,11 +206,25 @@ def take_scene_files(command: Callable[..., None]) -> Callable[..., None]:
         bound = signature.bind(*args, **kwargs)
         bound.apply_defaults()
         files = {option.name: bound.arguments.pop(option.name) for option in shared}
+        _open_folder(bound.arguments)
         command(**bound.arguments, files=files)
 
     run.__signature__ = signature  # type: ignore[attr-defined]  # typer reads both
     run.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
     return run
+
+
+def _open_folder(arguments: dict[str, Any]) -> None:
+    """Take the map and the tracks of a folder that `geoaim place` wrote, where it is given."""
+    from geoaim.base.files import MAP_FILE, TRACKS_FILE, find_in_folder
+
+    given = arguments.get("aim") or next(iter(arguments.get("maps") or ()), None)
+    if given is None or find_in_folder(given, MAP_FILE) == given:
+        return
+    if arguments["tracks"] is None and find_in_folder(given, TRACKS_FILE) != given:
+        arguments["tracks"] = given / TRACKS_FILE
+    if "aim" in arguments:
+        arguments["aim"] = given / MAP_FILE
 
 
 COLUMNS = tuple(field.name for field in fields(SceneSource))

@@ -62,18 +62,8 @@ def build(
             help="orthophoto or tiles of the place, which place the map instead of points"
         ),
     ] = None,
-    near: Annotated[
-        str | None,
-        typer.Option(
-            help="latitude,longitude of the frame's middle to 35 m, if telemetry lacks it"
-        ),
-    ] = None,
-    imagery_accuracy: Annotated[
-        float,
-        typer.Option(
-            help="standard deviation of the imagery's place, m; 0 takes it as right", min=0.0
-        ),
-    ] = 0.0,
+    near: options.Near = None,
+    imagery_accuracy: options.ImageryAccuracy = 0.0,
     as_json: options.AsJson = False,
 ) -> None:
     """Build a georeferenced map (AIM) from a hovering drone's video, or from one image.
@@ -127,7 +117,7 @@ def _choose_placing(
         return None
     if gcps is not None:
         raise ValueError("--gcps and --imagery both place the map; give one")
-    sources, start = list(imagery), None if near is None else _parse_near(near)
+    sources, start = list(imagery), None if near is None else parse_near(near)
 
     def place(aim: "AIM") -> "AIM":
         from geoaim.imagery.alignment.placing import place_by_imagery
@@ -137,7 +127,8 @@ def _choose_placing(
     return place
 
 
-def _parse_near(text: str) -> tuple[float, float]:
+def parse_near(text: str) -> tuple[float, float]:
+    """Parse the value of --near: latitude and longitude, degrees."""
     try:
         latitude, longitude = map(float, text.split(","))
     except ValueError:

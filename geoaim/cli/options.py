@@ -6,7 +6,10 @@ from typing import Annotated, Any, Literal
 import typer
 
 AimFile = Annotated[
-    Path, typer.Argument(help="AIM: a .tif that build, align or draw wrote, or a texture folder")
+    Path,
+    typer.Argument(
+        help="AIM: a .tif that build, align or draw wrote, or a folder of place or texture"
+    ),
 ]
 VideoSource = Annotated[str, typer.Argument(help="video file, or folder or glob of images")]
 ControlPoints = Annotated[
@@ -16,10 +19,20 @@ ControlPoints = Annotated[
 DetectionsFolder = Annotated[
     Path | None, typer.Option(help="detected boxes: a folder of YOLO .txt, or a file of all frames")
 ]
+Near = Annotated[
+    str | None,
+    typer.Option(help="latitude,longitude of the frame's middle to 35 m, if telemetry lacks it"),
+]
+ImageryAccuracy = Annotated[
+    float,
+    typer.Option(help="standard deviation of the imagery's place, m; 0 takes it as right", min=0.0),
+]
 
 TRACKS_HELP = "tracks: .csv or .parquet of geoaim, or a file of a public dataset"
-TracksFile = Annotated[Path, typer.Option(help=TRACKS_HELP)]
 OptionalTracks = Annotated[Path | None, typer.Option(help=TRACKS_HELP)]
+SceneTracks = Annotated[
+    Path | None, typer.Option(help=f"{TRACKS_HELP}; those of the AIM's folder of place if omitted")
+]
 TracksWorld = Annotated[
     str | None,
     typer.Option(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @take_scene_files
 def view(
     aim: options.AimFile,
-    tracks: options.OptionalTracks = None,
+    tracks: options.SceneTracks = None,
     drivable: options.DrivableFile = None,
     imagery: Annotated[
         list[str] | None, typer.Option(help="imagery to show beneath the map, with a swipe")

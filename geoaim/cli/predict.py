@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 @take_scene_files
 def predict(
     aim: options.AimFile,
-    tracks: options.TracksFile,
     output: Annotated[Path, options.output(".csv, .png, .mp4 or .gif to write")],
+    tracks: options.SceneTracks = None,
     kind: options.Kind = "vehicles",
     weights: options.WeightsFile = None,
     at: Annotated[
@@ -94,6 +94,11 @@ def predict(
         f"{output}: {samples} futures of {horizon * model.config.dt:g} s after "
         f"{float(scene.times[start]):g} s, {predicted} agents"
     )
+    if weights is None:
+        console.print(
+            "The model does not know this place: at some, constant velocity with noise is as good "
+            "or better. Compare by geoaim evaluate; learn the place by geoaim train"
+        )
 
 
 DEFAULT_SAMPLES = 10  # as in the paper's figures
@@ -104,8 +109,8 @@ def compare(
     maps: Annotated[
         list[Path], typer.Argument(help="maps of one place: AIMs, or HD maps as draw writes them")
     ],
-    tracks: options.TracksFile,
     output: Annotated[Path, options.output(".png to write")],
+    tracks: options.SceneTracks = None,
     kind: options.Kind = "vehicles",
     weights: Annotated[
         list[Path] | None,

@@ -26,9 +26,9 @@ VIDEO = {"size": DEFAULT_SIZE_PX, "extent": DEFAULT_EXTENT_M, "trail": 2.0}
 @take_scene_files
 def render(
     aim: options.AimFile,
-    tracks: options.TracksFile,
     ego: Annotated[str, typer.Option(help="id of the agent at the centre")],
     output: Annotated[Path, options.output(".mp4, .gif or .png to write")],
+    tracks: options.SceneTracks = None,
     size: Annotated[
         int, typer.Option(help="side of the view, px", min=16, max=4096)
     ] = DEFAULT_SIZE_PX,
@@ -66,8 +66,8 @@ def render(
 @take_scene_files
 def simulate(
     aim: options.AimFile,
-    tracks: options.TracksFile,
     output: Annotated[Path, options.output("simulated tracks, .csv or .parquet, to write")],
+    tracks: options.SceneTracks = None,
     policy: Annotated[PolicyName, typer.Option(help="policy of the controlled agents")] = "idm",
     ego: Annotated[
         str | None,

@@ -40,7 +40,7 @@ def train(
     ] = None,
     *,
     output: Annotated[Path, options.output("folder for model.pt, log.csv and curves.png")],
-    tracks: options.OptionalTracks = None,
+    tracks: options.SceneTracks = None,
     windows: options.WindowsFolder = None,
     images: options.WindowImages = None,
     scenes: options.WindowScenes = None,

@@ -17,19 +17,22 @@ HEADING_COLOUR = (1.0, 1.0, 1.0)
 TRAIL_WIDTH_M = 0.4
 
 
-def make_agent_boxes(scene: Scene, steps: Int[Tensor, "B"], ego: Int[Tensor, "B"]) -> OrientedBoxes:
+def make_agent_boxes(
+    scene: Scene, steps: Int[Tensor, "B"], ego: Int[Tensor, "B"] | None = None
+) -> OrientedBoxes:
     """Make boxes of all agents, coloured by type, with white triangles at their fronts.
 
     Args:
         scene: the scene whose agents are drawn.
         steps: (B,) index of each view's step.
-        ego: (B,) row of the agent in each view that has the ego's colour.
+        ego: (B,) row of the agent in each view that has the ego's colour; None: no agent has it.
 
     Returns:
         (B, N) boxes.
     """
     colours = get_agent_colours(scene).repeat(len(steps), 1, 1)
-    colours[torch.arange(len(steps)), ego] = colours.new_tensor(EGO_COLOUR)
+    if ego is not None:
+        colours[torch.arange(len(steps)), ego] = colours.new_tensor(EGO_COLOUR)
     heading_colours = colours.new_tensor(HEADING_COLOUR).expand_as(colours)
     poses, present = _get_poses(scene, steps)
     return OrientedBoxes(poses, scene.sizes, colours, present, heading_colours)

@@ -12,6 +12,7 @@ from numpy import ndarray as Array
 from PIL import Image
 from torch import Tensor
 
+from geoaim.aim.aim import AIM
 from geoaim.base.encode import write_video
 from geoaim.base.files import atomic_write
 from geoaim.rendering.birdview import render
@@ -22,6 +23,7 @@ from geoaim.rendering.scene import Scene
 
 SUFFIXES = (".mp4", ".gif", ".png")
 BATCH_SIZE = 16  # pictures that are rendered at once
+FILM_HEIGHT_PX, FILM_TRAIL_S = 720, 1.0  # of the film of a whole map
 
 
 def render_agent_video(
@@ -47,6 +49,38 @@ def render_agent_video(
             layers.insert(1, make_trail_boxes(scene, batch, duration=trail))
         with torch.no_grad():
             pictures = render(view, scene.poses[agent, batch], ground, layers)
+        yield from convert_to_uint8(pictures)
+
+
+def render_map_video(
+    scene: Scene, aim: AIM, *, height: int = FILM_HEIGHT_PX, trail: float = FILM_TRAIL_S
+) -> Iterator[UInt8[Array, "H W 3"]]:
+    """Render the whole map with all agents at each step, turned as its image is.
+
+    Args:
+        scene: the scene, of this map.
+        aim: the map.
+        height: the smaller side of the pictures, pixels.
+        trail: duration of the agents' trails, seconds; 0: none.
+
+    Yields:
+        (H, W, 3) an RGB picture of each step, with even sides.
+    """
+    (left, top), right, _, bottom = aim.corners
+    across, down = right - (left, top), (left, top) - bottom
+    extent = np.hypot(*across), np.hypot(*down)
+    resolution = float(min(extent)) / height
+    sides = [2 * max(1, round(side / resolution / 2)) for side in extent]
+    view = View(sides[1], sides[0], resolution)
+    middle = aim.corners.mean(axis=0)
+    camera = torch.tensor([*middle, np.arctan2(down[1], down[0])], dtype=scene.poses.dtype)
+    ground = prefilter_ground(scene.ground, resolution)
+    for steps in torch.split(torch.arange(len(scene.times)), BATCH_SIZE):
+        layers = [make_light_boxes(scene, steps), make_agent_boxes(scene, steps)]
+        if trail > 0:
+            layers.insert(1, make_trail_boxes(scene, steps, duration=trail))
+        with torch.no_grad():
+            pictures = render(view, camera.expand(len(steps), 3), ground, layers)
         yield from convert_to_uint8(pictures)
 
 

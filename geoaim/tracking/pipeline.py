@@ -23,6 +23,7 @@ from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_b
 from geoaim.tracking.find_vehicles import search_frames
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_detections import GroundDetections, place_boxes, select_detections
+from geoaim.tracking.scale import check_scale
 from geoaim.tracking.standing import Directions
 from geoaim.tracking.states import make_states
 from geoaim.tracks.tracks import Tracks
@@ -72,7 +73,10 @@ def track_video(
     lanes = None if hdmap is None else Directions(*sample_lane_directions(hdmap))
     size = opened.height, opened.width
     times = find_image_times(opened, poses.registration.index, poses.times)
-    return track_boxes(known, poses.world_from_frame, times, aim.world, size, lanes=lanes)
+    tracks = track_boxes(known, poses.world_from_frame, times, aim.world, size, lanes=lanes)
+    if detections is None:
+        check_scale(tracks, aim)
+    return tracks
 
 
 def _locate_boxes(

@@ -20,7 +20,10 @@ def test_need_of_memory_is_compared_with_the_limit_and_the_size_of_the_file(monk
     monkeypatch.setenv("GEOAIM_MAX_GB", "4")
     check_memory("a.tif", 3e9, 1e3, VideoError, "2 x 2 pixels")
     monkeypatch.setenv("GEOAIM_MAX_GB", "much")
-    with pytest.raises(ValueError, match="number of GB"):
+    with (
+        pytest.raises(ValueError, match=r"^GEOAIM_MAX_GB is 'much'; a number of GB"),
+        refuse_damaged("a.tif", VideoError, "a video"),
+    ):
         check_memory("a.tif", 3e9, 1e3, VideoError, "2 x 2 pixels")
 
 

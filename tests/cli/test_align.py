@@ -29,6 +29,15 @@ def test_align_corrects_an_orthophoto_by_tracks(tmp_path):
     assert np.hypot(east + 4.26, north + 2.63) < 1
 
 
+def test_an_orthophoto_is_taken_as_the_aim(tmp_path):
+    output = tmp_path / "tiles.tif"
+    given = ["align", "samples/tiles", "--aim", "samples/ortho.tif", "--resolution", "0.4"]
+    result = run(app, [*given, "-o", str(output)])
+    assert result.exit_code == 0, result.output
+    shift = read_aim(output).report["alignment"]["aim"]["shift_m"]
+    assert np.hypot(*shift) < 0.5
+
+
 def test_align_writes_nothing_after_an_error(tmp_path):
     given = ["align", "samples/ortho.tif", "--resolution", "0.5", "-o", f"{tmp_path}/a.tif"]
     result = run(

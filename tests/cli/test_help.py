@@ -40,7 +40,7 @@ def test_the_examples_in_the_help_run(tmp_path, monkeypatch):
 
 def test_the_usage_line_names_all_that_must_be_given():
     for usage in (
-        "predict AIM --tracks TRACKS -o OUTPUT [OPTIONS]",
+        "predict AIM -o OUTPUT [OPTIONS]",
         "align IMAGERY... -o OUTPUT [OPTIONS]",
         "bench STAGE VIDEO [OPTIONS]",
         "catalog build RECORDINGS -o OUTPUT [OPTIONS]",

@@ -90,9 +90,7 @@ def test_info_prints_facts_and_commands_or_json():
     assert "  geoaim draw samples/map.osm -o map.tif\n" in output
     content = json.loads(run(app, ["info", "samples/hover.mp4", "--json"]).stdout)
     assert content["summary"]["length"] == "12.00 s, 25 frames/s"
-    assert content["commands"][0] == (
-        "geoaim build samples/hover.mp4 --frame-resolution 0.05 -o map.tif"
-    )
+    assert content["commands"][0] == "geoaim place samples/hover.mp4 -o FOLDER"
 
 
 def test_other_files_are_refused_in_one_line(tmp_path):

@@ -11,9 +11,11 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
+from geoaim.aim.files import open_aim, read_aim
 from geoaim.aim.position import CHI2_2D, read_position_covariance, state_position
 from geoaim.aim.rectification import change_aim_world, rectify
-from geoaim.base.errors import AlignmentError, warn
+from geoaim.base.errors import AimError, AlignmentError, warn
+from geoaim.base.files import MAP_FILE, find_in_folder
 from geoaim.base.geometry import make_similarity, transform_points, translation
 from geoaim.base.world import World, choose_world, lonlat_from_world
 from geoaim.imagery.alignment.by_control_points import georeference_picture
@@ -68,6 +70,8 @@ def align_tiles(
     The strongest evidence places the imagery: control points, then an AIM of the same place, then
     tracks. The others check the place, with a warning where they disagree. Without any evidence
     the imagery stays where its georeference says, or where `shift` moves it by hand.
+
+    A map that was built of a video keeps its pixels, its coverage and what its report knows.
 
     The parts of a mosaic that lie at different places are moved each for itself. An AIM counts by
     how well its own report says that its place is known: in a direction in which the imagery's
@@ -127,7 +131,9 @@ def align_tiles(
         imagery = _read_picture(tiles, gcps, world, options)
     else:
         mosaic = _read_mosaic(tiles, world, evidence, prior, options)
-        imagery = place_mosaic(mosaic, evidence.pop(0)) if evidence else mosaic.aim
+        imagery = mosaic.aim
+        if evidence:
+            imagery = _forget_georeference(place_mosaic(mosaic, evidence.pop(0)))
     for other in evidence:
         imagery = _check(imagery, other)
     return imagery
@@ -147,8 +153,41 @@ def _read_mosaic(
     corners = None if options.get("keep_extent") else _choose_region(evidence, prior, shift)
     names = ReadOptions.__annotations__
     read: Any = {name: value for name, value in options.items() if name in names}
-    mosaic = read_mosaic(tiles, world=world, corners=corners, **read)
+    mosaic = _read_built(tiles, world, read)
+    if mosaic is None:
+        mosaic = read_mosaic(tiles, world=world, corners=corners, **read)
     return mosaic if shift is None else mosaic._replace(aim=_move_by_hand(mosaic, shift))
+
+
+def _read_built(
+    tiles: Source | ImageryObject | Sequence[Source | ImageryObject],
+    world: World | None,
+    options: ReadOptions,
+) -> Mosaic | None:
+    """Read a map that was built of a video as it is, with its coverage, doubt and report."""
+    if not isinstance(tiles, str | os.PathLike) or any(options.values()):
+        return None
+    path = find_in_folder(tiles, MAP_FILE)
+    if path.suffix.lower() not in (".tif", ".tiff") or not path.is_file():
+        return None
+    try:
+        with open_aim(path) as (_, _, report):
+            is_built = "background" in report
+    except AimError:
+        return None  # imagery
+    if not is_built:
+        return None
+    aim = read_aim(path)
+    return Mosaic(aim if world is None else change_aim_world(aim, world), None, (path.name,))
+
+
+def _forget_georeference(imagery: AIM) -> AIM:
+    """Keep what placed a built map before it was aligned as history only."""
+    if "georeference" not in imagery.report or "background" not in imagery.report:
+        return imagery
+    report = dict(imagery.report)
+    earlier = {"georeference": report.pop("georeference")}
+    return replace(imagery, report={**report, "before_alignment": earlier})
 
 
 def _read_picture(

@@ -10,6 +10,7 @@ from pkgutil import iter_modules
 from typing import Any
 
 from geoaim.base.errors import TracksError, name_option
+from geoaim.base.files import TRACKS_FILE, find_in_folder
 from geoaim.base.limits import check_regular, name_file
 from geoaim.base.world import World
 from geoaim.tracks import formats as package
@@ -55,7 +56,7 @@ def read_tracks(
 
     Args:
         path: a file in the plain format of `write_tracks` or in that of a public dataset, or the
-            folder of a SinD recording or of one ScenarioNet scenario.
+            folder of a SinD recording, of one ScenarioNet scenario or of `geoaim place`.
         world: the CRS and origin of x and y, for formats in metres that do not state them, those
             with "world" in their `TrackFormat.options` (geo-trax takes the CRS only). None: the
             plane of a `meta_data.csv` beside a file of the INTERACTION format, or a local plane.
@@ -74,6 +75,7 @@ def read_tracks(
         ValueError: a required option is missing, the format does not take a given option, or
             the resolution is not positive.
     """
+    path = find_in_folder(path, TRACKS_FILE)
     track_format = detect_format(path)
     options = {"world": world, "resolution": resolution, "frame_rate": frame_rate}
     given: dict[str, Any] = {name: value for name, value in options.items() if value is not None}

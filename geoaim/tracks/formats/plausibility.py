@@ -35,6 +35,7 @@ MOST_TURNED = 0.25  # share of agents that head elsewhere than they move: so man
 MOST = 0.5  # share of the agents whose columns contradict their motion, so that none are used
 NOISE = 0.05  # share of states that may be wrong without a warning
 NEARLY_ALL = 0.9  # share with which a file is refused
+MIRRORED, TURNED = 0.9, 0.7  # resultants of angles: over one and under the other, axes are swapped
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +71,12 @@ def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
 
 
 def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> Tracks:
-    """Replace headings and speeds by those of the positions where most agents' contradict them."""
-    measured, stated, off = _measure_motion(
-        tracks, np.nan_to_num(estimate_velocity(tracks, HALF_WINDOW_S, HALF_WINDOW_S))
-    )
+    """Replace headings and speeds by those of the positions where most agents' contradict them.
+
+    Raises TracksError where positions are a mirror image of headings, as if x and y were swapped.
+    """
+    velocity = np.nan_to_num(estimate_velocity(tracks, HALF_WINDOW_S, HALF_WINDOW_S))
+    measured, stated, off = _measure_motion(tracks, velocity)
     moving = measured > MIN_MOVING_SPEED
     judged = moving.any(axis=1)
     if not judged.any():
@@ -85,6 +88,15 @@ def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> 
     wrong_headings, wrong_speeds = turned.mean() > MOST_TURNED, wrong.mean() > MOST
     if not (wrong_headings or wrong_speeds):
         return tracks
+    direction = np.arctan2(velocity[..., 1], velocity[..., 0])[moving]
+    sums, differences = (
+        abs(np.exp(1j * (direction + sign * tracks.states[moving, 2])).mean()) for sign in (1, -1)
+    )
+    if wrong_headings and sums > MIRRORED and differences < TURNED:
+        raise TracksError(
+            f"{Path(path)}: {turned.sum()} agents do not move where they head: positions are a "
+            "mirror image of the headings. Are x and y swapped, or does y count downwards?"
+        )
     names, found = "Headings and speeds are", f"{turned.sum()} agents do not move where they head"
     if not wrong_headings:
         names = "Speeds are"

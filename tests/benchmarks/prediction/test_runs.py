@@ -11,6 +11,7 @@ from PIL import Image
 
 from benchmarks.prediction import (
     aim_or_hdmap,
+    closed_loop,
     known_views,
     latent_scales,
     models,
@@ -28,6 +29,7 @@ from benchmarks.prediction import (
 from benchmarks.prediction.places import TEST, TRAIN, make_place_scene, read_map, read_recordings
 from benchmarks.prediction.results import Workspace
 from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.checkpoints import read_model
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES
 from geoaim.prediction.dataset import split_scene
 from geoaim.prediction.familiarity import KnownViews
@@ -95,12 +97,21 @@ def tiny_places(monkeypatch):
 
 
 @pytest.mark.slow
-def test_pretrained_models_are_written_to_the_workspace(workspace, monkeypatch, tiny_places):
+def test_pretrained_models_are_written_to_the_workspace(workspace, monkeypatch, tiny_places, place):
+    scene = make_place_scene(read_recordings(place)[0], read_map(place, "aim"), dt=0.1)
+    monkeypatch.setattr(closed_loop, "make_drawn_scene", lambda kind, seed: (scene, None))
+    monkeypatch.setattr(closed_loop, "CLOSED_LOOP", ((5, "t"),))
+    for name, value in {"STEPS": 3, "CHUNK_STEPS": 3, "SEGMENT_STEPS": 20, "SEGMENTS": 2}.items():
+        monkeypatch.setattr(closed_loop, name, value)
     monkeypatch.setattr(pretrained, "REALISTIC_STEPS", {"vehicle": 1, "pedestrian": 1})
     monkeypatch.setattr(pretrained, "REALISTIC_BATCH", 2)
     paths = pretrained.run(workspace)
     assert [path.parent for path in paths[:2]] == [workspace.folder / "pretrained"] * 2
     assert "pedestrians, ITRA" in read_methods(paths)
+    before = read_model(workspace.models / "vehicle_realistic" / "model.pt").state_dict()
+    after = read_model(paths[0]).state_dict()
+    changed = {name for name in before if not before[name].equal(after[name])}
+    assert any(name.startswith("decode_action") for name in changed)
 
 
 @pytest.mark.slow

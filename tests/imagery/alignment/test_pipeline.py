@@ -20,7 +20,7 @@ from geoaim.base.world import World, lonlat_from_world
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.before_after import draw_alignment
-from geoaim.imagery.alignment.pipeline import align_tiles
+from geoaim.imagery.alignment.pipeline import Shift, align_tiles
 from geoaim.imagery.alignment.result import Prior
 from geoaim.tracks.changes import to_world
 from tests.imagery.alignment.alignment_pairs import as_aim
@@ -47,6 +47,34 @@ def test_aim_corrects_the_position_of_the_sample_orthophoto(aim):
     assert found.world == aim.world
     assert "alignment by aim" in found.summarize()
     assert "position" not in found.summarize()
+
+
+def test_a_map_of_a_video_keeps_its_coverage_doubt_and_report(aim, tmp_path):
+    generator = np.random.default_rng(2)
+    ground = geoaim.rectify(aim, 0.2)
+    size = ground.coverage.shape
+    moved = make_similarity(ground.corners.mean(axis=0), 0.02, 1.01) @ ground.world_from_image
+    moved[:2, 2] += (2.0, -3.0)
+    georeference = {"corner_uncertainty_m": [4.0] * 4}
+    built = replace(
+        ground,
+        world_from_image=moved,
+        coverage=generator.integers(1, 64, size).astype(np.uint16),
+        contested=generator.random(size) < 0.01,
+        report={"background": {"frames_used": 64}, "georeference": georeference},
+    )
+    geoaim.write_aim(built, tmp_path / "map.tif")
+    found = align_tiles(tmp_path / "map.tif", aim=aim)
+    np.testing.assert_allclose(found.corners, ground.corners, atol=0.3)
+    for name in ("image", "coverage", "contested"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(built, name))
+    assert found.report["background"] == {"frames_used": 64}
+    assert found.report["before_alignment"] == {"georeference": georeference}
+    assert "georeference" not in found.report
+    by_hand = align_tiles(tmp_path / "map.tif", shift=Shift(1.0, 2.0))
+    np.testing.assert_allclose(by_hand.corners, built.corners + np.array([1.0, 2.0]), atol=1e-6)
+    coarse = align_tiles(tmp_path / "map.tif", aim=aim, resolution=0.5)  # as any imagery
+    assert coarse.resolution == pytest.approx(0.5, rel=0.02)
 
 
 @pytest.mark.slow

@@ -93,6 +93,12 @@ def test_columns_that_contradict_the_motion_are_not_used(how, names, columns):
     assert np.isnan(tracks.observed[CARS[0], np.flatnonzero(tracks.present[CARS[0]])[0], 3])
 
 
+@pytest.mark.parametrize("how", [swap_axes, lambda states: states * [1.0, -1.0, 1.0, 1.0]])
+def test_positions_that_mirror_the_headings_are_refused(how):
+    with pytest.raises(TracksError, match=r"a\.csv: .*Are x and y swapped"):
+        derive_contradicted_motion("a.csv", change_states(np.arange(64), how))
+
+
 def test_an_agent_that_reverses_and_right_columns_stay_as_they_are():
     for tracks in (SAMPLE, change_states(CARS[:3], reverse)):
         assert derive_contradicted_motion("a.csv", tracks) is tracks

@@ -1,0 +1,122 @@
+"""Maps that are placed by imagery of another day, from a start that is far off.
+
+    python -m benchmarks.alignment.placing --json docs/bench/placing.json
+
+What a drone sees of a made place, turned by any angle; its scale is wrong by up to 20 %, and its
+middle is said to be up to 30 m away. The picture is of another day and sensor. Errors are those of
+the map's corners, in pixels of the picture. Then pictures of other places, which must be refused.
+"""
+
+import time
+from dataclasses import replace
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+import typer
+
+from benchmarks.alignment.pairs import Pair, make_pairs, move_to_aim
+from benchmarks.results import JsonFile, print_rows, write_rows
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import AlignmentError, GeoreferenceError
+from geoaim.base.geometry import make_similarity, to_opencv, transform_points
+from geoaim.base.progress import no_progress
+from geoaim.base.world import World, lonlat_from_world
+from geoaim.imagery.alignment.placing import place_by_imagery
+
+VALIDATION_SEED, TEST_SEED = 11, 21  # of the places, one of each kind
+TRIALS, OTHERS = 5, 2  # views of each place; of them with the picture of another place
+SIZE_PX = (540, 960)  # of a view
+RESOLUTIONS = (0.15, 0.2)  # metres per pixel, between which a view's lies
+MAX_OFF_M, MAX_SCALING = 30.0, 0.2
+MAX_ERROR_PX = 2.0  # of a corner; a larger one that is not refused is wrong
+
+
+def look_at(pair: Pair, generator: np.random.Generator) -> AIM:
+    """Look at a part of a place from a drone, in any direction: the map in its true place."""
+    height, width = SIZE_PX
+    resolution, angle = generator.uniform(*RESOLUTIONS), generator.uniform(-np.pi, np.pi)
+    low, high = pair.aim.corners.min(axis=0), pair.aim.corners.max(axis=0)
+    middle = (low + high) / 2 + generator.uniform(-0.1, 0.1, 2) * (high - low)
+    turn = make_similarity(np.zeros(2), angle, resolution) @ np.diag([1.0, -1.0, 1.0])
+    turn[:2, 2] = middle - transform_points(turn, np.array([[width / 2, height / 2]]))[0]
+    matrix = to_opencv(np.linalg.inv(turn) @ pair.aim.world_from_image)
+    image, covered = (
+        cv2.warpPerspective(one, matrix, (width, height), flags=cv2.INTER_AREA)
+        for one in (pair.aim.image, np.ones(pair.aim.coverage.shape, np.uint8))
+    )
+    aim = AIM.from_image(np.asarray(image, np.uint8), turn, pair.aim.world, pair.name)
+    return replace(aim, coverage=np.asarray(covered, np.uint16))
+
+
+def measure_case(pair: Pair, view: AIM, generator: np.random.Generator) -> dict[str, Any]:
+    """Place a view from a start that is far off: errors of its corners, and what is stated."""
+    pixel, scale = pair.picture.resolution, 1 + generator.uniform(-MAX_SCALING, MAX_SCALING)
+    angle, off = generator.uniform(0, 2 * np.pi), generator.uniform(0, MAX_OFF_M)
+    middle = view.corners.mean(axis=0) + off * np.array([np.cos(angle), np.sin(angle)])
+    [[longitude, latitude]] = lonlat_from_world(view.world, middle[None]).tolist()
+    plane = np.diag([1.0, -1.0, 1.0])
+    plane[:2] *= view.resolution * scale
+    rough = replace(view, world=World(None), world_from_image=plane, report={})
+    row: dict[str, Any] = {"place": pair.name, "picture": pair.picture.report["source"]}
+    start = time.perf_counter()
+    try:
+        placed = place_by_imagery(
+            rough, pair.picture, near=(latitude, longitude), progress=no_progress
+        )
+    except (AlignmentError, GeoreferenceError):
+        return row | {"placed": False, "s": time.perf_counter() - start}
+    row |= {"placed": True, "s": time.perf_counter() - start}
+    shift = np.array(placed.world.origin) - np.array(view.world.origin)
+    errors = np.linalg.norm(placed.corners + shift - view.corners, axis=1)
+    bounds = np.array(placed.report["georeference"]["corner_uncertainty_m"])
+    inside = float((errors <= bounds).mean())
+    return row | {"errors_px": errors / pixel, "bounds_px": bounds / pixel, "inside": inside}
+
+
+def summarize(name: str, cases: list[dict[str, Any]]) -> dict[str, Any]:
+    """Summarize the cases of one kind of picture in a row."""
+    placed = [case for case in cases if case["placed"]]
+    errors = np.array([case["errors_px"] for case in placed]).reshape(-1, 4)
+    bounds = np.array([case["bounds_px"] for case in placed]).reshape(-1, 4)
+    known = len(placed) > 0
+    return {
+        "picture of": name,
+        "cases": len(cases),
+        "placed": len(placed),
+        "median error of corners, px": float(np.median(errors)) if known else None,
+        "largest, px": float(errors.max()) if known else None,
+        "over 2 px and not refused": int((errors.max(axis=1, initial=0) > MAX_ERROR_PX).sum()),
+        "corners in their 95 % regions, %": 100 * float((errors <= bounds).mean())
+        if known
+        else None,
+        "stated 95 % radius, px": float(np.median(bounds)) if known else None,
+        "s": float(np.median([case["s"] for case in cases])),
+    }
+
+
+def main(
+    json: JsonFile = None,
+    validation: Annotated[bool, typer.Option(help="the validation places")] = False,
+) -> None:
+    """Measure maps that are placed by imagery."""
+    cv2.setNumThreads(2)
+    seed = VALIDATION_SEED if validation else TEST_SEED
+    generator = np.random.default_rng(seed)
+    pairs = list(make_pairs(1, first=seed))
+    here, elsewhere = [], []
+    for pair, other in zip(pairs, pairs[1:] + pairs[:1], strict=True):
+        views = [look_at(pair, generator) for _ in range(TRIALS)]
+        here += print_rows(measure_case(pair, view, generator) for view in views)
+        wrong = move_to_aim(replace(other, aim=pair.aim))
+        elsewhere += print_rows(measure_case(wrong, view, generator) for view in views[:OTHERS])
+    rows = [
+        summarize("the place, another day", [dict(row) for row in here]),
+        summarize("another place", [dict(row) for row in elsewhere]),
+    ]
+    print_rows(rows)
+    write_rows(rows, json, command="python -m benchmarks.alignment.placing")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,235 @@
+"""A video all the way: map, tracks, quick look, film and report, in one folder.
+
+The order: the map (`geoaim.mapping`), its scale and place (`geoaim.tracking.scale`,
+`geoaim.imagery`), vehicles and tracks (`geoaim.tracking`), a film of them (`geoaim.rendering`).
+"""
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geoaim.aim.aim import AIM
+from geoaim.aim.files import write_aim
+from geoaim.aim.quicklook import draw_quicklook
+from geoaim.aim.rectification import rectify
+from geoaim.base.errors import GeoreferenceError, RegistrationError, TracksError, VideoError
+from geoaim.base.files import MAP_FILE, TRACKS_FILE, atomic_folder, write_figure
+from geoaim.base.progress import Progress, notebook_progress, report_each
+from geoaim.imagery.alignment.placing import place_by_imagery
+from geoaim.imagery.sources import Source
+from geoaim.mapping.georeference.control_points import ControlPointSource
+from geoaim.mapping.georeference.from_telemetry import make_local_georeference
+from geoaim.mapping.pipeline import build_aim
+from geoaim.mapping.report import report_georeference, report_position
+from geoaim.mapping.video.detections import DetectionSource
+from geoaim.mapping.video.video import Video, VideoSource, open_video
+from geoaim.rendering.pictures import render_map_video, write_pictures
+from geoaim.rendering.scene import make_scene
+from geoaim.tracking.pipeline import track_video
+from geoaim.tracking.report import WITHOUT_DETECTOR, summarize_tracking
+from geoaim.tracking.scale import SIGMA, propose_scale
+from geoaim.tracks.agent_types import select_group
+from geoaim.tracks.changes import resample_tracks
+from geoaim.tracks.files import write_tracks
+from geoaim.tracks.tracks import Tracks
+
+LOOK_FILE, FILM_FILE, REPORT_FILE = "map.png", "film.mp4", "report.json"
+FILM_RATE = 10.0  # pictures per second
+MIN_PREDICTED_S = 1.0  # observed seconds from which models predict
+MIN_TRAINING_S = 60.0  # of tracks from which a model is trained with profit
+MIN_TRAINING_AGENTS = 7  # one of seven is held out
+
+
+@dataclass(frozen=True)
+class PlacedVideo:
+    """What became of a video.
+
+    Attributes:
+        aim: its map.
+        tracks: tracks of its agents; None: none was found, and `missing` says why.
+        known: what is known and how surely, by name.
+        missing: what is not, by what it would be needed for, with the command that helps.
+    """
+
+    aim: AIM
+    tracks: Tracks | None
+    known: dict[str, str]
+    missing: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is known of a video beside its frames; all may be missing.
+
+    Attributes:
+        points: control points, as `read_control_points` reads them.
+        imagery: an orthophoto or tiles of the place, as `read_imagery` reads them.
+        near: latitude and longitude of the frame's middle, degrees, to within 35 m.
+        imagery_accuracy: standard deviation of the imagery's own place, metres.
+        detections: boxes of vehicles, as `read_detections` reads them.
+        frame_resolution: metres per pixel of the frames.
+    """
+
+    points: ControlPointSource | None = None
+    imagery: Source | Sequence[Source] | None = None
+    near: tuple[float, float] | None = None
+    imagery_accuracy: float = 0.0
+    detections: DetectionSource | None = None
+    frame_resolution: float | None = None
+
+
+def place_video(
+    video: VideoSource,
+    folder: str | os.PathLike[str],
+    evidence: Evidence | None = None,
+    *,
+    progress: Progress = notebook_progress,
+) -> PlacedVideo:
+    """Make a map of a video, track its vehicles, and write all of it into a new folder.
+
+    The map is placed by control points, by imagery or by the telemetry beside the video. Without
+    any of these it lies in a plane of its own, in which most vehicles are as large as cars.
+
+    Args:
+        video: what `open_video` opens.
+        folder: a new folder for map.tif, map.png, tracks.csv, film.mp4 and report.json.
+        evidence: what is known beside the frames; None: nothing.
+        progress: called with the stage, how much is done and how much there is.
+
+    Returns:
+        The map and the tracks, with what is known and what is missing. Where no vehicle is found
+        without a detector, the folder has neither tracks nor film.
+
+    Raises:
+        VideoError: the video cannot be read or has one frame only.
+        GeoaimError: as of `build_aim`, `place_by_imagery` and `track_video`.
+        ValueError: the folder holds files, or the evidence contradicts itself.
+    """
+    evidence, opened = evidence or Evidence(), open_video(video)
+    if opened.frame_count == 1:
+        raise VideoError(
+            f"{opened.source} has one frame, in which nothing moves; geoaim build makes a map of it"
+        )
+    _check(evidence, opened)
+    with atomic_folder(folder) as temporary:
+        aim = _build(opened, evidence, progress)
+        write_aim(aim, temporary / MAP_FILE)
+        write_figure(draw_quicklook(aim), temporary / LOOK_FILE)
+        tracks, reason = _track(opened, aim, evidence, progress)
+        if tracks is not None:
+            write_tracks(tracks, temporary / TRACKS_FILE)
+            _film(aim, tracks, temporary / FILM_FILE, progress)
+        placed = _report(aim, tracks, evidence, reason)
+        text = json.dumps({"known": placed.known, "missing": placed.missing}, indent=1)
+        (temporary / REPORT_FILE).write_text(text + "\n", encoding="utf-8")
+    return placed
+
+
+def _check(evidence: Evidence, video: Video) -> None:
+    if evidence.imagery is None:
+        if evidence.near is not None or evidence.imagery_accuracy:
+            raise ValueError("near and imagery_accuracy need imagery, which places the map")
+        return
+    if evidence.points is not None:
+        raise ValueError("control points and imagery both place the map; give one")
+    if evidence.near is None and video.telemetry is None:
+        raise ValueError(
+            f"{video.source} has no telemetry, so that the imagery is not searched; give latitude "
+            "and longitude of the frame's middle (--near, near=)"
+        )
+
+
+def _build(video: Video, evidence: Evidence, progress: Progress) -> AIM:
+    """Build the map, in its place where that is known, as `write_aim` writes it."""
+    chosen: dict[str, Any] = {"detections": evidence.detections, "progress": progress}
+    size = video.height, video.width
+    if evidence.frame_resolution is not None:
+        local = make_local_georeference(resolution=evidence.frame_resolution, size=size)
+        aim = build_aim(video, local, **chosen)
+    else:
+        try:
+            aim = build_aim(video, evidence.points, **chosen)
+        except GeoreferenceError:
+            if evidence.points is not None:
+                raise
+            plane = make_local_georeference(resolution=1.0, size=size)
+            aim = _scale(video, build_aim(video, plane, **chosen), progress)
+    if evidence.imagery is not None:
+        aim = place_by_imagery(
+            aim,
+            evidence.imagery,
+            near=evidence.near,
+            accuracy=evidence.imagery_accuracy,
+            progress=progress,
+        )
+    return aim if aim.is_affine else rectify(aim)
+
+
+def _scale(video: Video, aim: AIM, progress: Progress) -> AIM:
+    """Give a map in pixels the scale at which its vehicles are as large as cars."""
+    proposed = propose_scale(video, aim, progress=progress)
+    place = make_local_georeference(
+        resolution=proposed.resolution, size=(video.height, video.width)
+    )
+    georeference = report_georeference(place, None)
+    georeference["scale_by_vehicles"] = {"boxes": proposed.boxes, "sigma": SIGMA}
+    claims = {"georeference": georeference, "position": report_position(place, None)}
+    kept = {name: value for name, value in aim.report.items() if name != "place"}
+    report = {**kept, **claims}
+    return replace(aim, world_from_image=place.world_from_image, report=report)
+
+
+def _track(
+    video: Video, aim: AIM, evidence: Evidence, progress: Progress
+) -> tuple[Tracks | None, str]:
+    """Track the vehicles; with why there is none, unless the boxes of a detector were given."""
+    try:
+        return track_video(video, aim, evidence.detections, progress=progress), ""
+    except (TracksError, RegistrationError) as error:
+        if evidence.detections is not None:
+            raise
+        return None, str(error)
+
+
+def _film(aim: AIM, tracks: Tracks, path: Path, progress: Progress) -> None:
+    """Write a film of the tracks on the map."""
+    rate = 1 / float(np.median(np.diff(tracks.times)))
+    if rate > FILM_RATE:
+        tracks, rate = resample_tracks(tracks, FILM_RATE), FILM_RATE
+    pictures = render_map_video(make_scene(aim, tracks), aim)
+    reported = report_each(pictures, progress, "film", len(tracks.times))
+    write_pictures(reported, path, frame_rate=rate)
+
+
+def _report(aim: AIM, tracks: Tracks | None, evidence: Evidence, reason: str) -> PlacedVideo:
+    """Collect what is known, how surely, and what is missing for what."""
+    known, missing = dict(aim.summarize()), {}
+    if aim.world.crs is None:
+        missing["a place in the world"] = (
+            "give an orthophoto (--imagery ortho.tif --near LATITUDE,LONGITUDE) or control points "
+            "(--points; geoaim pick VIDEO)"
+        )
+        if evidence.frame_resolution is None:
+            missing["an exact scale"] = "it is that of typical cars; --frame-resolution gives it"
+    if tracks is None:
+        missing["tracks"] = f"{reason}; give the boxes of a detector (--detections)"
+        return PlacedVideo(aim, None, known, missing)
+    known |= {f"tracks: {name}": text for name, text in summarize_tracking(tracks, aim).items()}
+    del known["tracks: world"]
+    if evidence.detections is None:
+        known["tracks: detections"] = WITHOUT_DETECTOR
+    seconds = float(tracks.times[-1] - tracks.times[0])
+    vehicles = int(select_group(tracks.types, "vehicle").sum())
+    needs = {"prediction": (MIN_PREDICTED_S, 1), "training": (MIN_TRAINING_S, MIN_TRAINING_AGENTS)}
+    for name, (duration, count) in needs.items():
+        if seconds < duration or vehicles < count:
+            missing[name] = (
+                f"it needs {duration:g} s and {count} vehicles, and these are {seconds:.0f} s "
+                f"and {vehicles}: film longer"
+            )
+    return PlacedVideo(aim, tracks, known, missing)

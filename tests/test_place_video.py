@@ -1,0 +1,129 @@
+"""A video all the way: a folder with map, tracks, film and report, which other commands take."""
+
+import json
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import geoaim
+from geoaim.base.errors import GeoaimWarning, TracksError, VideoError
+from geoaim.cli import app
+from geoaim.mapping.video.video import open_video
+from geoaim.tracking.scale import check_scale, propose_scale
+
+SAMPLES = Path(__file__).parents[1] / "samples"
+RESOLUTION = 0.264  # metres per pixel of the sample's video at half its size
+FILES = ["film.mp4", "map.png", "map.tif", "report.json", "tracks.csv"]
+run = CliRunner().invoke
+
+
+@pytest.fixture(scope="module")
+def video():
+    """Two seconds of the sample at half its size, without its telemetry."""
+    whole = open_video(SAMPLES / "hover.mp4")
+    frames = [shrink(frame.image) for frame in islice(whole, 0, 60, 3)]
+    return open_video(frames, rate=whole.rate / 3)
+
+
+def shrink(image):
+    return cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+
+
+@pytest.fixture(scope="module")
+def placed(video, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("place") / "junction"
+    return folder, geoaim.place_video(video, folder)
+
+
+def test_a_video_alone_gives_a_folder_with_all(placed):
+    folder, result = placed
+    assert sorted(path.name for path in folder.iterdir()) == FILES
+    aim, tracks = geoaim.read_aim(folder), geoaim.read_tracks(folder)
+    assert aim.resolution == pytest.approx(RESOLUTION, rel=0.25)
+    assert len(tracks.ids) >= 5
+    length = np.median(tracks.sizes[[kind == "car" for kind in tracks.types], 0])
+    assert 3.5 < length < 5.5
+    film = open_video(folder / "film.mp4")
+    assert film.frame_count == len(tracks.times)
+    assert min(film.height, film.width) == 720
+    assert "proposed" in result.known["scale"]
+    report = json.loads((folder / "report.json").read_text("utf-8"))
+    assert report == {"known": result.known, "missing": result.missing}
+    assert {"a place in the world", "an exact scale", "training"} <= set(result.missing)
+    assert "60 s" in result.missing["training"]
+
+
+def test_commands_take_the_folder(placed, tmp_path):
+    folder = str(placed[0])
+    result = run(app, ["info", folder])
+    assert "folder of geoaim place" in result.output
+    result = run(app, ["view", folder, "--html", str(tmp_path / "view.html")])
+    assert result.exit_code == 0, result.output
+    result = run(app, ["convert", folder, "-o", str(tmp_path / "tracks.gpkg")])
+    assert result.exit_code == 0, result.output
+    result = run(app, ["texture", folder, str(tmp_path / "texture")])
+    assert result.exit_code == 0, result.output
+    agent = geoaim.read_tracks(folder).ids[0]
+    command = ["render", folder, "--ego", agent, "--size", "64"]
+    result = run(app, [*command, "-o", str(tmp_path / "view.png")])
+    assert result.exit_code == 0, result.output
+    result = run(app, ["render", f"{folder}/map.tif", *command[2:], "-o", f"{tmp_path}/a.png"])
+    assert "needs --tracks" in " ".join(result.output.split())
+
+
+def test_a_folder_that_holds_files_and_a_single_frame_are_refused(placed, video):
+    folder, _ = placed
+    with pytest.raises(ValueError, match="name a new folder"):
+        geoaim.place_video(video, folder)
+    result = run(app, ["place", str(SAMPLES / "hover.mp4"), "-o", str(folder)])
+    assert result.exit_code == 1
+    still = open_video([next(iter(video)).image])
+    with pytest.raises(VideoError, match="one frame"):
+        geoaim.place_video(still, folder.parent / "still")
+    assert not (folder.parent / "still").exists()
+
+
+def test_evidence_that_contradicts_itself_is_refused(video, tmp_path):
+    for evidence, message in (
+        (geoaim.Evidence(near=(49.0, 36.0)), "need imagery"),
+        (geoaim.Evidence(imagery="ortho.tif"), "no telemetry"),
+        (geoaim.Evidence(imagery="ortho.tif", points="points.csv"), "give one"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            geoaim.place_video(video, tmp_path / "folder", evidence)
+    result = run(app, ["place", "samples/hover.mp4", "--near", "north", "-o", f"{tmp_path}/f"])
+    assert "not latitude,longitude" in result.output
+
+
+def test_without_vehicles_there_is_a_map_that_says_so_or_no_scale(video, tmp_path):
+    first = next(iter(video)).image
+    noise = np.random.default_rng(0).normal(0, 2, (8, *first.shape))
+    empty = open_video(list((first + noise).clip(0, 255).astype(np.uint8)), rate=8.0)
+    with pytest.raises(TracksError, match="the scale is not known"):
+        geoaim.place_video(empty, tmp_path / "unknown")
+    evidence = geoaim.Evidence(frame_resolution=RESOLUTION)
+    result = geoaim.place_video(empty, tmp_path / "empty", evidence)
+    assert result.tracks is None
+    assert "--detections" in result.missing["tracks"]
+    names = sorted(path.name for path in (tmp_path / "empty").iterdir())
+    assert names == ["map.png", "map.tif", "report.json"]
+
+
+def test_a_scale_that_is_wrong_by_eight_is_named(placed):
+    result = placed[1]
+    tracks, aim = result.tracks, result.aim
+    assert check_scale(tracks, aim) is None
+    small = replace(tracks, sizes=tracks.sizes / 8)  # as if pixels were an eighth
+    with pytest.warns(GeoaimWarning, match="as many metres"):
+        assert check_scale(small, aim) == pytest.approx(8, rel=0.3)
+
+
+def test_the_scale_is_proposed_from_any_start(video, placed):
+    proposed = propose_scale(video, placed[1].aim)
+    assert proposed.resolution == pytest.approx(RESOLUTION, rel=0.25)
+    assert proposed.boxes > 20
