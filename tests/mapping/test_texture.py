@@ -114,3 +114,12 @@ def test_a_picture_that_would_start_another_program_is_refused(tmp_path):
     (tmp_path / "texture.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n")
     with pytest.raises(AimError, match=r"texture\.png"):
         read_texture(tmp_path)
+
+
+def test_a_picture_that_claims_far_more_pixels_than_its_size_is_refused(tmp_path, monkeypatch):
+    blank = np.zeros((1200, 1200, 3), np.uint8)
+    export_texture(AIM.from_image(blank, PLACE, World(None), "test"), tmp_path)
+    read_texture(tmp_path)
+    monkeypatch.setenv("GEOAIM_MAX_GB", "0.01")
+    with pytest.raises(AimError, match="claims 1200 x 1200 pixels, which need 0.0 GB"):
+        read_texture(tmp_path)

@@ -105,8 +105,11 @@ def test_names_count_from_0_or_1(tmp_path: Path, names: list[str]) -> None:
         assert middle == pytest.approx((number + 1) / 10)
 
 
-def test_numbers_that_may_count_from_1_are_taken_from_0_with_a_warning(tmp_path: Path) -> None:
-    folder = write_labels(tmp_path / "a", ["000001", "000002"])
+@pytest.mark.parametrize("names", [["000001", "000002"], ["1", "2"], ["hover1", "hover2"]])
+def test_numbers_that_may_count_from_1_are_taken_from_0_with_a_warning(
+    tmp_path: Path, names: list[str]
+) -> None:
+    folder = write_labels(tmp_path / "a", names)
     with pytest.warns(GeoaimWarning, match="from 0 or from 1; they are taken to count from 0"):
         boxes = read_detections(folder, video=make_video())
     assert [boxes(frame) is not None for frame in make_video()][:3] == [False, True, True]
