@@ -81,3 +81,13 @@ def test_a_file_a_folder_and_a_pattern_of_a_store_are_fetched(tmp_path, video, f
     assert Path(local.video) == tmp_path / fetched
     assert len(paths) == count
     assert all(path.read_bytes().decode().endswith(path.name) for path in paths)
+
+
+def test_telemetry_has_the_name_of_its_video(tmp_path):
+    for name in ("day.1.mp4", "day.1.srt", "day.srt", "day.2.srt"):
+        (tmp_path / name).write_text(name)
+    found = list_inputs(Recording("a", str(tmp_path / "day.1.mp4")))
+    assert [(file.role, file.name) for file in found] == [
+        ("video", "day.1.mp4"),
+        ("telemetry", "day.1.srt"),
+    ]

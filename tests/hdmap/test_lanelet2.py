@@ -170,6 +170,13 @@ def test_local_metres_in_tags_are_read_where_all_degrees_are_one_place(tmp_path)
     np.testing.assert_allclose(hdmap.lanelets[0].left, [[0, 4], [20, 4]])
 
 
+def test_positions_count_from_the_origin_of_a_local_world(tmp_path):
+    paths = _osm(tmp_path / "a.osm"), _write_local(tmp_path / "b.osm", lat=0.0, lon=0.0)
+    for path in paths:
+        hdmap = read_hdmap(path, World(None, (5.0, 2.0)))
+        np.testing.assert_allclose(hdmap.lanelets[0].left, [[-5, 2], [15, 2]], atol=0.05)
+
+
 def test_degrees_that_agree_with_local_metres_are_read_and_others_refused(tmp_path):
     path = _write_local(tmp_path / "a.osm", lat=0.5, lon=9.0)
     assert read_hdmap(path).world.crs == "EPSG:32632"

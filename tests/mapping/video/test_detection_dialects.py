@@ -312,6 +312,14 @@ def test_cvat_of_a_video_has_tracks_and_turned_boxes(tmp_path, video):
     np.testing.assert_allclose(np.sort(np.ptp(corners[0], axis=0)), [40, 80], atol=1e-6)
 
 
+def test_cvat_images_may_lack_a_side(tmp_path, video):
+    (tmp_path / "a.xml").write_text(
+        '<annotations><image name="000000.png" width="1280"><box label="car" xtl="600" ytl="300" '
+        'xbr="680" ybr="340"/></image></annotations>'
+    )
+    np.testing.assert_allclose(read(tmp_path / "a.xml", video)[0][0].boxes, [[600, 300, 680, 340]])
+
+
 def test_dota_has_oriented_boxes_in_pixels(tmp_path, video):
     row = "100.0 100.0 180.0 100.0 180.0 140.0 100.0 140.0 small-vehicle 0\n"
     (tmp_path / "0.txt").write_text("imagesource:GoogleEarth\ngsd:0.1\n" + row)
