@@ -84,9 +84,11 @@ def _summarize_georeference(georeference: Mapping[str, Any]) -> Lines:
         )
         lines["worst corner"] = (
             f"{uncertainty['worst_corner']} of the frame, "
-            f"{format_metres(uncertainty['worst_corner_m'])}; with a point there "
-            f"{format_metres(uncertainty['worst_corner_with_point_there_m'])}"
+            f"{format_metres(uncertainty['worst_corner_m'])}"
         )
+        if not georeference["approximate"]:  # telemetry's error is one of place, not of a corner
+            with_point = format_metres(uncertainty["worst_corner_with_point_there_m"])
+            lines["worst corner"] += f"; with a point there {with_point}"
     else:  # a report of version 0.1
         bound = max(georeference["corner_uncertainty_m"])
         lines["corner uncertainty"] = f"{format_metres(bound)} (95 %)"

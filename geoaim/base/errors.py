@@ -21,10 +21,6 @@ class GeoaimError(Exception):
         return f"{line[:MAX_START]} ... {line[-MAX_END:]}" if too_long else line
 
 
-class SettingError(ValueError):
-    """An environment variable is not what is needed; no file is at fault."""
-
-
 class VideoError(GeoaimError):
     """No frame of a video could be read."""
 

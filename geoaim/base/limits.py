@@ -8,7 +8,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TextIO, cast
 
-from geoaim.base.errors import GeoaimError, SettingError
+from geoaim.base.errors import GeoaimError
 
 MAX_GB_VARIABLE = "GEOAIM_MAX_GB"  # environment variable
 DEFAULT_MAX_GB = 1.0
@@ -20,6 +20,10 @@ BYTES_PER_CHARACTER = 5  # memory for a character in a table of text
 MAX_POSITION_M = 1e8  # distance from the origin; the Earth's circumference is 4e7 m
 MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 MAX_RECORDING_S = 864_000.0  # ten days; a video whose frames are further apart is damaged
+
+
+class SettingError(ValueError):
+    """An environment variable is not what is needed; no file is at fault."""
 
 
 def read_memory_limit() -> float:
