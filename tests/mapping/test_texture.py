@@ -121,5 +121,5 @@ def test_a_picture_that_claims_far_more_pixels_than_its_size_is_refused(tmp_path
     export_texture(AIM.from_image(blank, PLACE, World(None), "test"), tmp_path)
     read_texture(tmp_path)
     monkeypatch.setenv("GEOAIM_MAX_GB", "0.01")
-    with pytest.raises(AimError, match="claims 1200 x 1200 pixels, which need 0.0 GB"):
+    with pytest.raises(AimError, match="claims 1200 x 1200 pixels"):
         read_texture(tmp_path)
