@@ -16,12 +16,12 @@ import numpy as np
 import typer
 
 from benchmarks.alignment.pairs import Pair, make_pairs, move_to_aim
-from benchmarks.results import JsonFile, print_rows, write_rows
+from benchmarks.results import JsonFile, Row, print_rows, write_rows
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import AlignmentError, GeoreferenceError
 from geoaim.base.geometry import make_similarity, to_opencv, transform_points
 from geoaim.base.progress import no_progress
-from geoaim.base.world import World, lonlat_from_world
+from geoaim.base.world import World, change_world, lonlat_from_world
 from geoaim.imagery.alignment.placing import place_by_imagery
 
 VALIDATION_SEED, TEST_SEED = 11, 21  # of the places, one of each kind
@@ -67,32 +67,28 @@ def measure_case(pair: Pair, view: AIM, generator: np.random.Generator) -> dict[
     except (AlignmentError, GeoreferenceError):
         return row | {"placed": False, "s": time.perf_counter() - start}
     row |= {"placed": True, "s": time.perf_counter() - start}
-    shift = np.array(placed.world.origin) - np.array(view.world.origin)
-    errors = np.linalg.norm(placed.corners + shift - view.corners, axis=1)
+    corners = change_world(placed.world, view.world, placed.corners)
+    errors = np.linalg.norm(corners - view.corners, axis=1)
     bounds = np.array(placed.report["georeference"]["corner_uncertainty_m"])
-    inside = float((errors <= bounds).mean())
-    return row | {"errors_px": errors / pixel, "bounds_px": bounds / pixel, "inside": inside}
+    return row | {"errors_px": (errors / pixel).tolist(), "bounds_px": (bounds / pixel).tolist()}
 
 
-def summarize(name: str, cases: list[dict[str, Any]]) -> dict[str, Any]:
+def summarize(name: str, cases: list[Row]) -> dict[str, Any]:
     """Summarize the cases of one kind of picture in a row."""
     placed = [case for case in cases if case["placed"]]
     errors = np.array([case["errors_px"] for case in placed]).reshape(-1, 4)
     bounds = np.array([case["bounds_px"] for case in placed]).reshape(-1, 4)
-    known = len(placed) > 0
-    return {
-        "picture of": name,
-        "cases": len(cases),
-        "placed": len(placed),
-        "median error of corners, px": float(np.median(errors)) if known else None,
-        "largest, px": float(errors.max()) if known else None,
-        "over 2 px and not refused": int((errors.max(axis=1, initial=0) > MAX_ERROR_PX).sum()),
-        "corners in their 95 % regions, %": 100 * float((errors <= bounds).mean())
-        if known
-        else None,
-        "stated 95 % radius, px": float(np.median(bounds)) if known else None,
-        "s": float(np.median([case["s"] for case in cases])),
-    }
+    row: dict[str, Any] = {"picture of": name, "cases": len(cases), "placed": len(placed)}
+    if placed:
+        row |= {
+            "median error of corners, px": float(np.median(errors)),
+            "largest, px": float(errors.max()),
+            "corners in their 95 % regions, %": 100 * float((errors <= bounds).mean()),
+            "stated 95 % radius, px": float(np.median(bounds)),
+        }
+    wrong = int((errors.max(axis=1, initial=0) > MAX_ERROR_PX).sum())
+    seconds = float(np.median([case["s"] for case in cases]))
+    return row | {"over 2 px and not refused": wrong, "s": seconds}
 
 
 def main(
@@ -104,17 +100,17 @@ def main(
     seed = VALIDATION_SEED if validation else TEST_SEED
     generator = np.random.default_rng(seed)
     pairs = list(make_pairs(1, first=seed))
-    here, elsewhere = [], []
+    here: list[Row] = []
+    elsewhere: list[Row] = []
     for pair, other in zip(pairs, pairs[1:] + pairs[:1], strict=True):
         views = [look_at(pair, generator) for _ in range(TRIALS)]
         here += print_rows(measure_case(pair, view, generator) for view in views)
         wrong = move_to_aim(replace(other, aim=pair.aim))
         elsewhere += print_rows(measure_case(wrong, view, generator) for view in views[:OTHERS])
-    rows = [
-        summarize("the place, another day", [dict(row) for row in here]),
-        summarize("another place", [dict(row) for row in elsewhere]),
-    ]
-    print_rows(rows)
+    rows = print_rows(
+        summarize(name, cases)
+        for name, cases in (("the place, another day", here), ("another place", elsewhere))
+    )
     write_rows(rows, json, command="python -m benchmarks.alignment.placing")
 
 

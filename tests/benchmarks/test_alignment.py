@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.alignment import benchmark as alignment
 from benchmarks.alignment import pairs as alignment_pairs
+from benchmarks.alignment import placing
 from benchmarks.alignment import real as alignment_real
 from benchmarks.alignment.pairs import Pair, measure_error, misplace_picture
 from geoaim.aim.aim import AIM
@@ -39,6 +40,27 @@ def test_methods_align_a_shifted_picture_and_refuse_another_place(monkeypatch):
     rows = alignment._compare_methods(pairs, 1, some)
     assert [row["method"] for row in rows] == list(some)
     assert rows[0]["median, px"] < 0.5
+
+
+def test_a_view_is_placed_from_far_off_and_another_place_is_refused(monkeypatch):
+    monkeypatch.setattr(placing, "SIZE_PX", (240, 320))
+    generator = np.random.default_rng(4)
+    world = World("EPSG:32635", (500_000.0, 5_600_000.0))
+    matrix = np.array([[0.2, 0, 0], [0, -0.2, 160], [0, 0, 1.0]])
+    one, other = (
+        AIM.from_image(textured(generator, 800, 800), matrix, world, "drawn") for _ in range(2)
+    )
+    pair = Pair("junction 1", one, one, np.eye(3))
+    view = placing.look_at(pair, generator)
+    rows = [
+        placing.measure_case(replace(pair, picture=picture), view, generator)
+        for picture in (one, other)
+    ]
+    assert [row["placed"] for row in rows] == [True, False]
+    table = [placing.summarize("it", rows[:1]), placing.summarize("another", rows[1:])]
+    assert table[0]["largest, px"] < 1
+    assert [row["placed"] for row in table] == [1, 0]
+    assert table[1]["over 2 px and not refused"] == 0
 
 
 def test_ecc_finds_the_shift_of_a_picture():

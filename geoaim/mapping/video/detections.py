@@ -38,10 +38,15 @@ from geoaim.tracks.formats.shared import AGENT_TYPES
 
 # names of classes in datasets of detections -> agent types
 CLASS_TYPES = AGENT_TYPES | {
+    "large vehicle": "",  # a truck or a bus: its size tells
+    "large-vehicle": "",
     "motor": "motorcycle",
     "motorbike": "motorcycle",
     "people": "pedestrian",
     "person": "pedestrian",
+    "small vehicle": "car",  # DOTA
+    "small-vehicle": "car",
+    "vehicle": "",
 }
 MIN_ORIENTED = 0.5  # share of boxes of four corners that are rectangles, if they are oriented boxes
 BOX_SCALE = 1.12  # detectors' boxes leave out shadows and mirrors

@@ -57,6 +57,21 @@ def test_results_of_ultralytics_and_supervision_are_read_by_their_attributes(fra
         assert (found.types, found.ids, found.scores.tolist()) == (("pedestrian",), ("7",), [0.5])
 
 
+def test_classes_of_aerial_data_sets_are_types_or_left_to_the_size(frame):
+    corners = np.array([[[0.0, 0], [1, 0], [1, 4], [0, 4]]] * 2)
+    cls, names = np.array([0, 1]), {0: "small vehicle", 1: "large vehicle"}
+    obb = SimpleNamespace(xyxy=corners[:, 0], xyxyxyxy=corners, cls=cls, conf=None, id=None)
+    found = read_detections(lambda _: SimpleNamespace(obb=obb, names=names))(frame)
+    assert found.types == ("car", "")
+
+
+def test_records_of_sliced_predictions_are_read(frame):
+    record = {"xmin": 1.0, "ymin": 2.0, "xmax": 3.0, "ymax": 5.0, "score": 0.7, "class": "bus"}
+    found = read_detections(lambda _: [record])(frame)
+    np.testing.assert_array_equal(found.boxes, [[1, 2, 3, 5]])
+    assert (found.types, found.scores.tolist()) == (("bus",), [0.7])
+
+
 def test_oriented_boxes_begin_with_a_long_side(frame):
     corners = np.array([[[0.0, 0], [1, 0], [1, 4], [0, 4]]])
     obb = SimpleNamespace(xyxy=np.array([[0.0, 0, 1, 4]]), xyxyxyxy=corners, cls=None)
