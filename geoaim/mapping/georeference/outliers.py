@@ -1,7 +1,7 @@
 """Find a wrong control point: by how much the misfit falls when a point is left out."""
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.special import fdtrc
 
@@ -18,6 +18,7 @@ from geoaim.mapping.georeference.transform_models import (
 SIGMA_DOF = 3.0  # degrees of freedom that the expected noise counts for
 OUTLIER_SIGNIFICANCE = 0.005  # significance level of the test, after Bonferroni's correction
 SKIP_REFITS_ABOVE = 0.3  # p-value of the first-order test; the test with refits is then skipped
+MAX_REFITS = 64  # points of many that are left out in turn, the likeliest to first order
 MIN_RELATIVE_LIKELIHOOD = 0.05  # likelihood of a further suspect, relative to that of the first one
 
 
@@ -56,28 +57,34 @@ def _find_suspects(pairs: PointPairs, sigma: float) -> list[int]:
     count = len(pairs.image)
     posterior = fit_posterior(pairs, sigma, SIGMA_DOF)
     freedom = SIGMA_DOF + 2 * count - 6
-    if _is_clearly_consistent(pairs, posterior, freedom):
+    falls = _measure_falls(pairs, posterior)
+    if _is_clearly_consistent(falls, posterior, freedom):
         return []
-    others = ~np.eye(count, dtype=bool)
-    misfits = np.array(
-        [fit_posterior(select_pairs(pairs, o), sigma, SIGMA_DOF).misfit for o in others]
-    )
+    likeliest = np.argsort(-falls)[:MAX_REFITS]
+    misfits = np.full(count, np.inf)
+    for one in likeliest:
+        others = select_pairs(pairs, np.arange(count) != one)
+        misfits[one] = fit_posterior(others, sigma, SIGMA_DOF).misfit
     if count * _fall_by_chance(posterior.misfit, misfits.min(), freedom) > OUTLIER_SIGNIFICANCE:
         return []
     likelihood = (misfits / misfits.min()) ** (-freedom / 2.0)
     return [int(i) for i in np.argsort(misfits) if likelihood[i] >= MIN_RELATIVE_LIKELIHOOD]
 
 
-def _is_clearly_consistent(pairs: PointPairs, posterior: Posterior, freedom: float) -> bool:
-    """Whether the same test to first order, without refits, finds nothing: the usual case."""
+def _measure_falls(pairs: PointPairs, posterior: Posterior) -> Float[Array, "m"]:
+    """By how much the misfit falls without each point, to first order."""
     error = (pairs.ground - apply_terms(posterior.mean, pairs.image))[:, :, None]
     jacobian = term_jacobian(posterior.mean, pairs.image)
     hat = jacobian @ posterior.covariance @ jacobian.transpose(0, 2, 1) / posterior.noise**2
-    falls = np.sum(error * np.linalg.solve(np.eye(2) * (1.0 + 1e-9) - hat, error), axis=(1, 2))
+    return np.sum(error * np.linalg.solve(np.eye(2) * (1.0 + 1e-9) - hat, error), axis=(1, 2))
+
+
+def _is_clearly_consistent(falls: Float[Array, "m"], posterior: Posterior, freedom: float) -> bool:
+    """Whether the same test to first order, without refits, finds nothing: the usual case."""
     lowest = max(posterior.misfit - float(falls.max()), 1e-30)
     usual = (np.abs(posterior.mean[4:]) <= 3.0 * PRIOR_SIGMA).all()
     chance = _fall_by_chance(posterior.misfit, lowest, freedom)
-    return bool(usual and len(error) * chance > SKIP_REFITS_ABOVE)
+    return bool(usual and len(falls) * chance > SKIP_REFITS_ABOVE)
 
 
 def _fall_by_chance(misfit: float, lowest: float, freedom: float) -> float:

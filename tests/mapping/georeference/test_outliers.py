@@ -6,9 +6,12 @@ import pytest
 
 from geoaim.base.errors import GeoaimWarning, GeoreferenceError
 from geoaim.base.geometry import transform_points
+from geoaim.mapping.georeference import outliers
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
+from geoaim.mapping.georeference.posterior import fit_posterior
+from geoaim.mapping.georeference.transform_models import PointPairs
 from tests.mapping.georeference.points import GRID, SIZE, TRUTH, make_points
 
 
@@ -61,3 +64,19 @@ def test_points_of_coarse_coordinates_agree_within_their_accuracy():
                 refused[-1] += 1
     assert refused[0] > 4
     assert refused[1] == 0
+
+
+def test_of_many_points_the_wrong_one_is_found_without_leaving_each_out(monkeypatch):
+    fits = []
+    monkeypatch.setattr(
+        outliers, "fit_posterior", lambda *given: fits.append(1) or fit_posterior(*given)
+    )
+    side = np.linspace(-1, 1, 12)
+    image = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    ground = image + 0.001 * np.random.default_rng(0).normal(size=image.shape)
+    ground[100] += 0.1
+    names = tuple(map(str, range(len(image))))
+    with pytest.warns(GeoaimWarning, match="^100 is left out"):
+        used = outliers.reject_outlier(names, PointPairs(image, ground), 0.001)
+    assert np.flatnonzero(~used).tolist() == [100]
+    assert len(fits) < len(image)
