@@ -63,8 +63,8 @@ test: install
 	$(MAKE) --no-print-directory -j 2 lint tests
 
 tests: install
-	$(BIN)/python tests/second_chance.py -n auto --dist loadfile -m "not slow and not benchmarks" \
-		geoaim tests $(if $(QUICK_NOTEBOOKS),--nbmake $(QUICK_NOTEBOOKS))
+	$(BIN)/python tests/second_chance.py -n auto --dist loadfile --durations 30 \
+		-m "not slow and not benchmarks" geoaim tests $(if $(QUICK_NOTEBOOKS),--nbmake $(QUICK_NOTEBOOKS))
 
 test-slow: install
 	$(BIN)/python tests/second_chance.py -n auto --dist loadfile -m "slow or hypothesis or benchmarks" \
