@@ -37,8 +37,13 @@ def write_sample(folder: Path) -> None:
     """Write the files of the bundled recording into a folder, which appears when it is complete."""
     from geoaim.base.files import atomic_folder
 
+    source = find_sample()
     with atomic_folder(folder) as temporary:
-        shutil.copytree(find_sample(), temporary, dirs_exist_ok=True, copy_function=shutil.copyfile)
+        for path in sorted(source.rglob("*")):
+            if path.is_file():
+                target = temporary / path.relative_to(source)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, target)
 
 
 def find_sample() -> Path:

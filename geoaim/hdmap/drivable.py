@@ -3,13 +3,10 @@
 import os
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 import shapely
-from affine import Affine
 from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray as Array
-from rasterio.features import rasterize
 from shapely import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
@@ -156,6 +153,9 @@ def compute_signed_distance(
     Raises:
         MapError: the area is empty, or too narrow for a cell of the mask.
     """
+    from affine import Affine
+    from rasterio.features import rasterize
+
     if area.is_empty:
         raise MapError("the area is empty; polygons are needed")
     low, high = np.array(area.bounds).reshape(2, 2)
@@ -185,6 +185,8 @@ def _limit_resolution(size: Float[Array, "2"], resolution: float) -> float:
 
 def _measure_distance(mask: UInt8[Array, "h w"], grid: Grid) -> Float32[Array, "H W"]:
     """Cells of the mask to its edge, 0 beyond it, averaged over the cells of the grid."""
+    import cv2
+
     distance = cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     np.subtract(distance, 0.5, out=distance, where=mask > 0)
     coarse = cv2.resize(distance, grid.shape[::-1], interpolation=cv2.INTER_AREA)

@@ -98,11 +98,12 @@ def register_frames(inputs: Path, target: Path) -> None:
 
 
 def render(inputs: Path, target: Path) -> None:
-    cli.render(inputs / "aim.tif", inputs / "tracks.csv", "1", target, size=32, extent=16)
+    files = {"tracks": inputs / "tracks.csv", "output": target}
+    cli.render(inputs / "aim.tif", "1", **files, size=32, extent=16)
 
 
 def simulate(inputs: Path, target: Path) -> None:
-    cli.simulate(inputs / "aim.tif", inputs / "tracks.csv", target, duration=0.8)
+    cli.simulate(inputs / "aim.tif", target, inputs / "tracks.csv", duration=0.8)
 
 
 def convert(inputs: Path, target: Path) -> None:
@@ -110,13 +111,13 @@ def convert(inputs: Path, target: Path) -> None:
 
 
 def film_simulation(inputs: Path, target: Path) -> None:
-    files = inputs / "aim.tif", inputs / "tracks.csv", target
+    files = inputs / "aim.tif", target, inputs / "tracks.csv"
     with patch.dict(sys.modules["geoaim.cli.simulate"].VIDEO, size=32):
         cli.simulate(*files, ego="1", duration=0.8, video=target.parent / "films" / "out.mp4")
 
 
 def predict_agents(inputs: Path, target: Path) -> None:
-    files = inputs / "aim.tif", inputs / "tracks.csv", target
+    files = inputs / "aim.tif", target, inputs / "tracks.csv"
     cli.predict(*files, weights=inputs / "model.pt", duration=0.2, samples=2)
 
 
