@@ -50,6 +50,7 @@ ASIDE_SCALE_M, HEADING_SCALE_RAD = 0.3, 0.1
 STANDING_SCALE_MPS, SPEED_SCALE_SHARE, MAX_SPEED_SCALE_MPS = 0.2, 0.1, 0.7
 CATCH_UP_S, MAX_CATCH_UP_MPS = 4.0, 3.0  # how pace makes up for a lag
 FAR_M, LATE_M = 8.0, 25.0  # who is farther from its path, or from where it should be, is lost
+BEYOND_M = 4.0  # past an end of its path; farther on there is nothing to come back to
 MIN_MOVING_MPS = 1.0
 
 
@@ -198,7 +199,7 @@ def _compare(
     catching_up = (lag / CATCH_UP_S).clamp(-MAX_CATCH_UP_MPS, MAX_CATCH_UP_MPS)
     pace = (paths.states[:, step, 3] - catching_up).clamp_min(0)
     counted = paths.present[:, step] & (aside.detach().abs() < FAR_M) & (lag.abs() < LATE_M)
-    beside = along.detach().abs() < MIN_MOVING_MPS * CATCH_UP_S  # not beyond the path's ends
+    beside = along.detach().abs() < BEYOND_M
     error = beside * (_huber(aside / ASIDE_SCALE_M) + _huber(turned / HEADING_SCALE_RAD))
     scale = (STANDING_SCALE_MPS + SPEED_SCALE_SHARE * pace).clamp_max(MAX_SPEED_SCALE_MPS)
     return (error + _huber((pose[:, 3] - pace) / scale)) * counted, counted
