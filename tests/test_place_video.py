@@ -35,13 +35,13 @@ def shrink(image):
 
 
 @pytest.fixture(scope="module")
-def placed(video, tmp_path_factory):
+def junction(video, tmp_path_factory):
     folder = tmp_path_factory.mktemp("place") / "junction"
     return folder, geoaim.place_video(video, folder)
 
 
-def test_a_video_alone_gives_a_folder_with_all(placed):
-    folder, result = placed
+def test_a_video_alone_gives_a_folder_with_all(junction):
+    folder, result = junction
     assert sorted(path.name for path in folder.iterdir()) == FILES
     aim, tracks = geoaim.read_aim(folder), geoaim.read_tracks(folder)
     assert aim.resolution == pytest.approx(RESOLUTION, rel=0.25)
@@ -58,8 +58,8 @@ def test_a_video_alone_gives_a_folder_with_all(placed):
     assert "60 s" in result.missing["training"]
 
 
-def test_commands_take_the_folder(placed, tmp_path):
-    folder = str(placed[0])
+def test_commands_take_the_folder(junction, tmp_path):
+    folder = str(junction[0])
     result = run(app, ["info", folder])
     assert "folder of geoaim place" in result.output
     result = run(app, ["view", folder, "--html", str(tmp_path / "view.html")])
@@ -76,8 +76,8 @@ def test_commands_take_the_folder(placed, tmp_path):
     assert "needs --tracks" in " ".join(result.output.split())
 
 
-def test_a_folder_that_holds_files_and_a_single_frame_are_refused(placed, video):
-    folder, _ = placed
+def test_a_folder_that_holds_files_and_a_single_frame_are_refused(junction, video):
+    folder, _ = junction
     with pytest.raises(ValueError, match="name a new folder"):
         geoaim.place_video(video, folder)
     result = run(app, ["place", str(SAMPLES / "hover.mp4"), "-o", str(folder)])
@@ -114,8 +114,8 @@ def test_without_vehicles_there_is_a_map_that_says_so_or_no_scale(video, tmp_pat
     assert names == ["map.png", "map.tif", "report.json"]
 
 
-def test_a_scale_that_is_wrong_by_eight_is_named(placed):
-    result = placed[1]
+def test_a_scale_that_is_wrong_by_eight_is_named(junction):
+    result = junction[1]
     tracks, aim = result.tracks, result.aim
     assert check_scale(tracks, aim) is None
     small = replace(tracks, sizes=tracks.sizes / 8)  # as if pixels were an eighth
@@ -123,7 +123,7 @@ def test_a_scale_that_is_wrong_by_eight_is_named(placed):
         assert check_scale(small, aim) == pytest.approx(8, rel=0.3)
 
 
-def test_the_scale_is_proposed_from_any_start(video, placed):
-    proposed = propose_scale(video, placed[1].aim)
+def test_the_scale_is_proposed_from_any_start(video, junction):
+    proposed = propose_scale(video, junction[1].aim)
     assert proposed.resolution == pytest.approx(RESOLUTION, rel=0.25)
     assert proposed.boxes > 20
