@@ -5,6 +5,7 @@ from benchmarks.prediction import (
     known_views,
     latent_scales,
     observed_states,
+    own_place,
     pedestrians,
     pretrained,
     reaction,
@@ -24,6 +25,7 @@ EXPERIMENTS = {
     "pedestrians": pedestrians.run,
     "vehicles": vehicles.run,
     "reaction": reaction.run,
+    "reaction_validation": reaction.compare,
     "standing": standing.run,
     "robust": robust.run,
     "known_views": known_views.run,
@@ -34,4 +36,5 @@ EXPERIMENTS = {
     "sind": sind.run,
     "zero_shot": zero_shot.run,
     "observed_states": observed_states.run,
+    "own_place": own_place.run,
 }

@@ -44,10 +44,10 @@ BEST_WEIGHT = 0.7  # of the best of the samples; the rest is their mean
 MAX_GRADIENT_NORM = 1.0
 # standard deviations of starts: m aside, rad, share of the speed
 ASIDE_M, TURNED_RAD, SPEED_SHARE = 0.5, 0.06, 0.12
-# errors that count as one: m aside, rad; and m/s: of who stands, per m/s of the pace, and at most,
-# so that who stands does not creep
-ASIDE_SCALE_M, HEADING_SCALE_RAD = 0.3, 0.1
-STANDING_SCALE_MPS, SPEED_SCALE_SHARE, MAX_SPEED_SCALE_MPS = 0.2, 0.1, 0.7
+# errors that count as one: m aside, rad, m/s, and m/s of who waits, so that it does not creep
+ASIDE_SCALE_M, HEADING_SCALE_RAD, SPEED_SCALE_MPS, WAITING_SCALE_MPS = 0.3, 0.1, 0.7, 0.2
+# who waits is recorded below this speed from so many steps before to so many after
+WAITING_MPS, WAITED_STEPS, WAITING_STEPS = 0.3, 10, 30
 CATCH_UP_S, MAX_CATCH_UP_MPS = 4.0, 3.0  # how pace makes up for a lag
 FAR_M, LATE_M = 8.0, 25.0  # who is farther from its path, or from where it should be, is lost
 BEYOND_M = 4.0  # past an end of its path; farther on there is nothing to come back to
@@ -63,20 +63,22 @@ class _Place:
 
 @dataclass(frozen=True, eq=False)
 class _Paths:
-    """Recorded states of E agents, when they are there, and their way along the path, m."""
+    """Recorded states of E agents, when they are there and wait, and their way on the path, m."""
 
     states: Float[Tensor, "E T 4"]
     present: Bool[Tensor, "E T"]
+    waits: Bool[Tensor, "E T"]
     way: Float[Tensor, "E T"]
 
 
-def make_closed_loop(model: ITRA, folder: Path, progress: Progress) -> ITRA:
+def make_closed_loop(model: ITRA, folder: Path, progress: Progress, seed: int = 0) -> ITRA:
     """Train a model in closed loop, or read it from its folder.
 
     Args:
         model: a trained model of vehicles; it is not changed.
         folder: keeps the result.
         progress: takes stage, done and total.
+        seed: seed of the training.
 
     Returns:
         The model.
@@ -91,11 +93,11 @@ def make_closed_loop(model: ITRA, folder: Path, progress: Progress) -> ITRA:
             ground = prefilter_ground(scene.ground, model.config.resolution)
             places.append(_Place(scene, ground, segments))
         folder.mkdir(parents=True, exist_ok=True)
-        write_model(_train(model, places, progress), path)
+        write_model(_train(model, places, progress, seed), path)
     return read_model(path)
 
 
-def _train(model: ITRA, places: Sequence[_Place], progress: Progress) -> ITRA:
+def _train(model: ITRA, places: Sequence[_Place], progress: Progress, seed: int) -> ITRA:
     trained = _Blind(model.config)
     trained.load_state_dict(model.state_dict())
     trained.known_views = model.known_views
@@ -103,7 +105,7 @@ def _train(model: ITRA, places: Sequence[_Place], progress: Progress) -> ITRA:
         parameter.requires_grad_(False)
     parameters = [one for one in trained.parameters() if one.requires_grad]
     optimiser = torch.optim.AdamW(parameters, LEARNING_RATE, weight_decay=0.01)
-    generator = torch.Generator().manual_seed(0)
+    generator = torch.Generator().manual_seed(seed)
     rollouts = _roll_out(trained, places, generator)
     for step in range(STEPS):
         progress("closed loop", step, STEPS)
@@ -182,7 +184,9 @@ def _find_paths(segment: Segments, rollout: Rollout) -> _Paths:
     states = repeat(segment, SAMPLES).states[rollout.batch.controlled.index]
     present = rollout.batch.present
     moved = states[..., :2].diff(dim=1).norm(dim=2) * (present[:, 1:] & present[:, :-1])
-    return _Paths(states, present, F.pad(moved, (1, 0)).cumsum(dim=1))
+    speeds = F.pad(states[..., 3].abs() * present, (WAITED_STEPS, WAITING_STEPS), "replicate")
+    fastest = speeds.unfold(1, WAITED_STEPS + 1 + WAITING_STEPS, 1).amax(dim=2)
+    return _Paths(states, present, fastest < WAITING_MPS, F.pad(moved, (1, 0)).cumsum(dim=1))
 
 
 def _compare(
@@ -201,7 +205,7 @@ def _compare(
     counted = paths.present[:, step] & (aside.detach().abs() < FAR_M) & (lag.abs() < LATE_M)
     beside = along.detach().abs() < BEYOND_M
     error = beside * (_huber(aside / ASIDE_SCALE_M) + _huber(turned / HEADING_SCALE_RAD))
-    scale = (STANDING_SCALE_MPS + SPEED_SCALE_SHARE * pace).clamp_max(MAX_SPEED_SCALE_MPS)
+    scale = torch.where(paths.waits[:, step], WAITING_SCALE_MPS, SPEED_SCALE_MPS)
     return (error + _huber((pose[:, 3] - pace) / scale)) * counted, counted
 
 

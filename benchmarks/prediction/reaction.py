@@ -3,8 +3,8 @@
     python -m benchmarks.prediction reaction
 
 A follower is a recorded vehicle. Its leader is put on the follower's own path, and both are alone.
-The sample is seed 1. Places of `VAL` are for choices, those of `TEST` for the one test; no model is
-trained on either.
+The sample is seed 1. Places of `VAL` are for choices (`reaction_validation`), those of `TEST` for
+the one test; no model is trained on either.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,10 +22,11 @@ from benchmarks.prediction.places import Places, make_drawn_scene
 from benchmarks.prediction.results import Workspace
 from benchmarks.results import describe_machine, write_json
 from geoaim.base.files import atomic_files
-from geoaim.prediction.checkpoints import read_pretrained
-from geoaim.prediction.config import MAX_HISTORY_STEPS
+from geoaim.prediction.checkpoints import read_model, read_pretrained
+from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.cutting import cut_scene, cut_segments
 from geoaim.prediction.itra import ITRA
+from geoaim.prediction.metrics import compute_ade
 from geoaim.prediction.policies import ITRAPolicy
 from geoaim.prediction.segments import VEHICLE, Segments, make_segment_scenario, pick
 from geoaim.rendering.ground import Ground
@@ -75,8 +76,26 @@ SITUATIONS = {
 def run(workspace: Workspace) -> list[Path]:
     """Measure whether the pretrained vehicle model reacts to others; return the files."""
     parts = measure_places(read_pretrained("vehicle"), {"sample": SAMPLE, "test": TEST}, workspace)
-    command = "python -m benchmarks.prediction reaction"
-    paths = [workspace.results / f"reaction{suffix}" for suffix in (".json", ".md")]
+    return write_rows("reaction", parts, workspace)
+
+
+def compare(workspace: Workspace) -> list[Path]:
+    """Compare the models `models/closed_loop/*.pt` with the pretrained one at validation places."""
+    models = {"pretrained": read_pretrained("vehicle")}
+    paths = sorted((workspace.models / "closed_loop").glob("*.pt"))
+    models |= {path.stem: read_model(path) for path in paths}
+    parts: dict[str, list[Row]] = {"leaders": [], "closed loop": []}
+    for name, model in models.items():
+        for part, rows in measure_places(model, {name: VAL}, workspace).items():
+            new = name == "pretrained"  # IDM and the recording are the same beside each model
+            parts[part] += [row for row in rows if new or row["driver"] == "model"]
+    return write_rows("reaction_validation", parts, workspace)
+
+
+def write_rows(name: str, parts: Mapping[str, Sequence[Row]], workspace: Workspace) -> list[Path]:
+    """Write the tables of an experiment, as JSON and as Markdown."""
+    command = f"python -m benchmarks.prediction {name}"
+    paths = [workspace.results / f"{name}{suffix}" for suffix in (".json", ".md")]
     with atomic_files(*paths) as written:
         write_json({"command": command, "machine": describe_machine(), **parts}, written[0])
         tables = [f"{title}\n\n{_format(rows)}" for title, rows in parts.items()]
@@ -232,7 +251,7 @@ def _compare(
 
 def measure_closed_loop(
     model: ITRA, scene: Scene, ground: Ground, rules: RoadRules
-) -> list[dict[str, tuple[str, float, float]]]:
+) -> list[dict[str, Any]]:
     """Drive all vehicles of a scene by the model, by IDM and as recorded, `CLOSED_STEPS` each time.
 
     Returns:
@@ -268,7 +287,19 @@ def measure_closed_loop(
             ("recording", piece, controlled),
         ):
             found.append({"driver": name, **_count(one, some, rules)})
+    errors = _measure_errors(model, scene, ground)
+    found.append({"driver": "model", "minADE in 3 s": (float(errors.sum()), len(errors))})
     return found
+
+
+def _measure_errors(model: ITRA, scene: Scene, ground: Ground) -> Float[Tensor, "E"]:
+    """minADE of each vehicle's futures, 3 s ahead."""
+    steps = SEGMENT_STEPS["vehicle"]
+    segments = cut_segments(scene, "vehicle", steps=steps, stride=steps, joint=True)
+    generator = torch.Generator().manual_seed(0)
+    futures = model.sample(segments, ground, history=HISTORY, samples=FUTURES, generator=generator)
+    errors = compute_ade(futures, segments, HISTORY).amin(dim=1)[segments.controlled]
+    return errors[errors.isfinite()]
 
 
 def _count(scene: Scene, agents: Bool[Tensor, "A"], rules: RoadRules) -> dict[str, Any]:
@@ -276,13 +307,15 @@ def _count(scene: Scene, agents: Bool[Tensor, "A"], rules: RoadRules) -> dict[st
     found = detect_infractions(scene, agents, rules, first=HISTORY)
     wrong, _ = found["collision"]
     there = scene.present[:, HISTORY:].any(dim=1) & agents
-    counts = {"ever collide, %": (float(wrong.any(dim=1).sum()), float(there.sum()))}
+    vehicles = float(there.sum())
+    counts = {"ever collide, %": (100 * float(wrong.any(dim=1).sum()), vehicles)}
     for name in ("off road", "red light"):
         if name in found:
             marked, judged = found[name]
-            counts[f"{name}, % of steps"] = float((marked & judged).sum()), float(judged.sum())
+            share = 100 * float((marked & judged).sum()), float(judged.sum())
+            counts[f"{name}, % of steps"] = share
     metres = scene.speeds[agents].nan_to_num()[:, HISTORY:].abs().sum() * scene.dt
-    return {**counts, "metres": (float(metres) / 100, 1.0)}
+    return {**counts, "metres of each": (float(metres), vehicles)}
 
 
 def _sum_rows(name: str, found: Sequence[Mapping[str, Any]]) -> list[Row]:
@@ -295,8 +328,8 @@ def _sum_rows(name: str, found: Sequence[Mapping[str, Any]]) -> list[Row]:
             key for key in dict.fromkeys(k for one in some for k in one) if key != "driver"
         ]:
             sums, counts = np.sum([one[key] for one in some if key in one], axis=0)
-            row[key] = round(100 * float(sums) / (1.0 if key == "metres" else float(counts)), 2)
-        row["vehicles"] = int(sum(one["ever collide, %"][1] for one in some))
+            row[key] = round(float(sums) / float(counts), 3)
+        row["vehicles"] = int(sum(one["ever collide, %"][1] for one in some if len(one) > 2))
         rows.append(row)
     return rows
 

@@ -42,6 +42,7 @@ def write_model(model: ITRA, path: str | os.PathLike[str]) -> None:
             "history": place.history,
             "horizon": place.horizon,
             "yields": place.yields,
+            "placed": place.placed,
             "weights": tensors,
         }
     if (known := model.known_views) is not None:
@@ -103,7 +104,8 @@ def _read_place(
     config: Config, state: dict[str, Any]
 ) -> tuple[PlainNetwork, dict[str, torch.Tensor]]:
     """Make the network of a place from its part of a file; with its weights."""
-    options = {"yields": state["yields"], "cells": state["weights"].get("cells")}
+    options = {name: state[name] for name in ("yields", "placed")}
+    options["cells"] = state["weights"].get("cells")
     with torch.device("meta"):
         network = PlainNetwork(config, state["history"], state["horizon"], **options)
     return network, _load(network, state["weights"])

@@ -22,7 +22,9 @@ KNOT_S = 0.5  # between velocities, which are interpolated
 SPEED_SCALE = 10.0  # m/s
 STEPS, BATCH_SIZE, LEARNING_RATE = 400, 128, 2e-3
 PAST_NOISE_M, PLACE_NOISE_M = 0.03, 2.0  # on positions in training: of the past, and in the place
-EVEN_SHARE = 0.05  # of the mean error over all proposals in the loss, so that none stays unused
+# in the loss, of the mean error over all proposals, so that none stays unused, and of the error of
+# the first one, which is thus the best single guess
+EVEN_SHARE, FIRST_SHARE = 0.05, 1.0
 CELL_M = 10.0  # side of the cells of a place in which a network knows traffic
 WAVES = 4  # frequencies of a position's encoding
 MIN_SPEED_MPS = 0.5  # slower agents keep their heading
@@ -37,8 +39,9 @@ class PlainNetwork(nn.Module):
         history: observed steps that it reads; missing ones are continued backwards.
         horizon: steps that it proposes.
         yields: whether those who follow it brake for others, if the model does.
-        cells: (M, 2) numbers of the cells of a place in which it knows traffic, for a network that
-            knows where an agent is; None: it does not.
+        cells: (M, 2) numbers of the cells of a place in which it knows traffic; None: it has no
+            place.
+        placed: whether it reads where in its place an agent is.
     """
 
     cells: Tensor | None
@@ -51,13 +54,14 @@ class PlainNetwork(nn.Module):
         *,
         yields: bool = True,
         cells: Float[Tensor, "M 2"] | None = None,
+        placed: bool = True,
     ) -> None:
         super().__init__()
-        self.yields = yields
+        self.yields, self.placed = yields, placed and cells is not None
         self.dt, self.history, self.horizon = config.dt, history, horizon
         self.knots = 1 + max(1, round(horizon * config.dt / KNOT_S))
         self.register_buffer("cells", cells)
-        inputs = 5 * history + 3 + (0 if cells is None else 4 + 4 * WAVES)
+        inputs = 5 * history + 3 + (4 + 4 * WAVES) * self.placed
         self.propose = build_mlp(inputs, WIDTH, PROPOSALS * self.knots * 2)
         self.score = build_mlp(inputs, WIDTH // 2, PROPOSALS)
 
@@ -122,7 +126,7 @@ class PlainNetwork(nn.Module):
         columns = [position - straight, turn[..., None], speed[..., None] - now[:, None, 3:]]
         numbers = torch.cat([*columns, there[..., None].to(past)], dim=2).flatten(1)
         encoded = [numbers, now[:, 3:] / SPEED_SCALE, sizes / 5]
-        if self.cells is not None:
+        if self.placed:
             encoded.append(self._encode_place(now))
         return torch.cat(encoded, dim=1)
 
@@ -140,15 +144,15 @@ class PlainNetwork(nn.Module):
 
     @torch.no_grad()
     def plan(self, segments: Segments, history: int) -> tuple[Tensor, Bool[Tensor, "B N"]]:
-        """Propose futures of the controlled agents that are there, likeliest first.
+        """Propose futures of the controlled agents that are there: the best single guess first.
 
         Args:
             segments: segments.
             history: observed steps.
 
         Returns:
-            (B, N, P, T, 4) states, and for which agents: those that drive where the network knows
-            traffic.
+            (B, N, P, T, 4) states, the likeliest after the first one; and for which agents: those
+            that drive where the network knows traffic.
         """
         past, there = segments.states[:, :, :history], segments.present[:, :, :history]
         drives = (there & (past[..., 3].abs() > STANDING_MPS)).any(dim=2)
@@ -161,6 +165,7 @@ class PlainNetwork(nn.Module):
         plans = torch.zeros(shape, device=past.device)
         if len(row):
             states, logits = self(past[row, agent], there[row, agent], segments.sizes[row, agent])
+            logits[:, 0] = torch.inf
             order = logits.argsort(dim=1, descending=True)
             plans[row, agent] = states[torch.arange(len(row))[:, None], order]
         return plans, planned
@@ -193,17 +198,24 @@ class PlainNetwork(nn.Module):
 
 
 def train_plain(
-    segments: Segments, config: Config, *, history: int, place: bool = False, steps: int = STEPS
+    segments: Segments,
+    config: Config,
+    *,
+    history: int,
+    place: bool = False,
+    placed: bool = True,
+    steps: int = STEPS,
 ) -> PlainNetwork:
     """Train a network on segments of single agents, in seconds on a CPU.
 
-    Only the best of its proposals is trained in each case, and a little all of them.
+    In each case the best of its proposals is trained, the first one, and a little all of them.
 
     Args:
         segments: segments with one controlled agent each, which is there at all steps.
         config: motion and dt of the agents.
         history: observed steps.
-        place: whether it knows where in the place an agent is.
+        place: whether it is for the place of the segments.
+        placed: whether it then reads where in the place an agent is.
         steps: steps of the optimiser.
 
     Returns:
@@ -217,7 +229,8 @@ def train_plain(
     generator = torch.Generator().manual_seed(0)
     with torch.random.fork_rng(devices=[]), torch.enable_grad():
         torch.manual_seed(0)
-        network = PlainNetwork(config, history, segments.steps - history, cells=cells)
+        given = config, history, segments.steps - history
+        network = PlainNetwork(*given, cells=cells, placed=placed)
         network.to(states.device)
         optimiser = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=0.01)
         schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -243,12 +256,12 @@ def train_plain(
 def _compute_loss(
     proposed: tuple[Float[Tensor, "E P T 4"], Float[Tensor, "E P"]], truth: Float[Tensor, "E T 4"]
 ) -> Float[Tensor, ""]:
-    """Mean distance of the best proposal, metres, and the cross entropy of the logits."""
+    """Distances of the best, the first and all proposals, metres, and the logits' entropy."""
     states, logits = proposed
     offset = states[..., :2] - truth[:, None, :, :2]
     errors = (offset.square().sum(dim=-1) + 1e-4).sqrt().mean(dim=2)  # (E, P)
     best = errors.min(dim=1)
-    even = EVEN_SHARE * errors.mean()
+    even = EVEN_SHARE * errors.mean() + FIRST_SHARE * errors[:, 0].mean()
     return best.values.mean() + even + F.cross_entropy(logits, best.indices) / 10
 
 

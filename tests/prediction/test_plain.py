@@ -14,10 +14,11 @@ from tests.prediction.tiny import TINY, drive, hill
 
 @pytest.fixture(scope="module")
 def networks():
-    """Networks that were trained on cars on arcs, without and with their place."""
+    """Networks of cars on arcs: of no place, of theirs, and of theirs without reading it."""
     segments = drive(steps=30, count=8)
     return [
-        train_plain(segments, TINY, history=10, place=place, steps=60) for place in (False, True)
+        train_plain(segments, TINY, history=10, place=place, placed=placed, steps=60)
+        for place, placed in ((False, False), (True, True), (True, False))
     ]
 
 
@@ -38,12 +39,16 @@ def test_it_learns_a_curve_that_going_straight_misses(networks):
         assert errors.amin(dim=1).mean() < 0.35
 
 
-def test_a_model_follows_the_network_of_its_place_and_keeps_it_in_its_file(networks, tmp_path):
+@pytest.mark.parametrize("placed", [True, False])
+def test_a_model_follows_the_network_of_its_place_and_keeps_it_in_its_file(
+    networks, placed, tmp_path
+):
     model, segments = ITRA(TINY).eval(), drive(steps=30, count=8)
     away = sample(model.sample, segments)
-    model.own_place = networks[1]
+    network = networks[1 if placed else 2]
+    model.own_place = network
     followed = sample(model.sample, segments)
-    planned, _ = networks[1].plan(segments, 10)
+    planned, _ = network.plan(segments, 10)
     plans = planned[:, 0].clone()
     assert (followed[:, :, 0, 10:, :2] - plans[..., :2]).norm(dim=-1).mean() < 0.1
     write_model(model, tmp_path / "model.pt")
@@ -53,9 +58,19 @@ def test_a_model_follows_the_network_of_its_place_and_keeps_it_in_its_file(netwo
     assert not torch.equal(more[:, 7], more[:, 1])
     elsewhere = pick(segments, slice(None))
     elsewhere.states[:, :, :, 0] += 500.0
-    known = networks[1].plan(elsewhere, 10)[1]
+    known = network.plan(elsewhere, 10)[1]
     assert not known.any()
     assert not torch.equal(away, followed)
+
+
+def test_the_best_single_guess_comes_first_and_then_the_likeliest(networks):
+    segments = drive(steps=30, count=8)
+    plans, _ = networks[0].plan(segments, 10)
+    past = segments.states[:, 0, :10]
+    states, logits = networks[0](past, segments.present[:, 0, :10], segments.sizes[:, 0])
+    torch.testing.assert_close(plans[:, 0, 0], states[:, 0])
+    likeliest = 1 + logits[:, 1:].argmax(dim=1)
+    torch.testing.assert_close(plans[:, 0, 1], states[torch.arange(8), likeliest])
 
 
 def test_agents_that_stand_are_not_moved_by_a_network(networks):

@@ -1,0 +1,122 @@
+"""One's own place: what a training in ten minutes gives on the last 30 % of a recording.
+
+    python -m benchmarks.prediction own_place
+
+Headings and speeds come from positions. The network of a place and the number of steps were chosen
+at `VAL`; `TEST` judged once.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from benchmarks.prediction.places import make_drawn_scene
+from benchmarks.prediction.real_places import KARLSRUHE, read_karlsruhe
+from benchmarks.prediction.results import Metrics, Workspace, compute_differences, write_results
+from geoaim.base.defaults import SAMPLES
+from geoaim.cli.evaluate import train_on_beginning
+from geoaim.cli.train import BATCH_SIZE, STEPS
+from geoaim.prediction.baselines import BASELINES, Predictor, replay
+from geoaim.prediction.checkpoints import read_pretrained
+from geoaim.prediction.config import MAX_HISTORY_STEPS, configure_fine_tuning
+from geoaim.prediction.dataset import hold_out_agents, make_dataset
+from geoaim.prediction.evaluation import RECORDING, EvalConfig, judge
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.training import learn_place, train
+from geoaim.rendering.scene import Scene
+from geoaim.simulation.road_rules import RoadRules
+from geoaim.tracks.formats.motion import derive_motion
+
+FRACTION = 0.3  # at the end of each recording, on which it is judged
+HORIZON = 40  # steps of 0.1 s
+MINUTES = 3.0  # of made traffic
+MOTION_WINDOW_S = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class _Recording:
+    scenes: list[Scene]
+    rules: RoadRules
+
+
+def _read_junction(junction: str) -> _Recording:
+    parts = list(read_karlsruhe(junction))
+    moved = [
+        replace(part, tracks=derive_motion(part.tracks, half_window=MOTION_WINDOW_S))
+        for part in parts
+    ]
+    return _Recording([part.make_scene(0.1) for part in moved], parts[0].rules)
+
+
+def _draw_junction(seed: int) -> _Recording:
+    scene, rules = make_drawn_scene("junction", seed, minutes=MINUTES)
+    return _Recording([scene], rules)
+
+
+VAL: dict[str, Callable[[], _Recording]] = {
+    "Karlsruhe k733": lambda: _read_junction(KARLSRUHE[1]),
+    "made junction 921": lambda: _draw_junction(921),
+}
+TEST: dict[str, Callable[[], _Recording]] = {
+    "Karlsruhe k729": lambda: _read_junction(KARLSRUHE[0]),
+    "made junction 931": lambda: _draw_junction(931),
+}
+
+
+def run(workspace: Workspace) -> list[Path]:
+    """Train the vehicle model on recordings of places and judge it at their ends."""
+    metrics: dict[str, Metrics] = {}
+    minutes: dict[str, float] = {}
+    differences: dict[str, Mapping[str, tuple[float, float]]] = {}
+    for part, places in (("validation", VAL), ("test", TEST)):
+        for place, read in places.items():
+            recording = read()
+            predictors, taken = _train(recording, workspace, place)
+            options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
+            found = judge(
+                predictors,
+                recording.scenes,
+                read_pretrained("vehicle").config,
+                options,
+                fraction=FRACTION,
+                horizon=HORIZON,
+                rules=recording.rules,
+                progress=workspace.progress,
+            )
+            name = f"{part}, {place}"
+            metrics |= {f"{name}, {method}": values for method, values in found.items()}
+            minutes |= {f"{name}, {method}": value for method, value in taken.items()}
+            if PLAIN in found:
+                differences[name] = compute_differences(found[AFTER], found[PLAIN])
+    settings = {"minutes": minutes, "after minus plain network": differences}
+    return write_results("own_place", metrics, settings, workspace.results)
+
+
+BEFORE, PLACE, AFTER, PLAIN = "before", "network of the place", "after", "plain network"
+
+
+def _train(
+    recording: _Recording, workspace: Workspace, place: str
+) -> tuple[dict[str, Predictor], dict[str, float]]:
+    """Train as `geoaim train` does; predictors by name, and minutes of the trainings."""
+    model = read_pretrained("vehicle")
+    began = time.perf_counter()
+    dataset = make_dataset(
+        recording.scenes, model.config, val_fraction=FRACTION, progress=workspace.progress
+    )
+    learning, held_out = hold_out_agents(dataset.train)
+    dataset = replace(dataset, train=learning, val=held_out)
+    known = learn_place(model, dataset)
+    seconds = time.perf_counter() - began
+    folder = workspace.models / f"own_place_{place.replace(' ', '_')}"
+    config = configure_fine_tuning("vehicle", steps=STEPS, batch_size=BATCH_SIZE)
+    after: ITRA = learn_place(
+        train(model, config, dataset, folder, progress=workspace.progress), dataset
+    )
+    minutes = {PLACE: seconds / 60, AFTER: (time.perf_counter() - began) / 60}
+    predictors = {BEFORE: model.sample, PLACE: known.sample, AFTER: after.sample, **BASELINES}
+    plain = train_on_beginning(model, recording.scenes, FRACTION)
+    if plain is not None:
+        predictors[PLAIN] = plain.sample
+    return {**predictors, RECORDING: replay}, minutes
