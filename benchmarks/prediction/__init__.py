@@ -15,6 +15,7 @@ from benchmarks.prediction import (
     standing,
     stanford,
     stanford_baselines,
+    steering,
     vehicles,
     zero_shot,
 )
@@ -26,6 +27,7 @@ EXPERIMENTS = {
     "vehicles": vehicles.run,
     "reaction": reaction.run,
     "reaction_validation": reaction.compare,
+    "steering": steering.run,
     "standing": standing.run,
     "robust": robust.run,
     "known_views": known_views.run,
