@@ -4,8 +4,8 @@
 
 Drawn places with shadows, and (with GEOAIM_DATA) real stills with real cars on them. The videos are
 encoded, and the maps built of them. Vehicles that move at a time, and those that stand at it but
-move at another, are judged; what stands all the time is no part of the task. TrackEval judges
-identities: `pip install trackeval`.
+move at another, are judged; what stands all the time, and people (7 px wide), are no part of the
+task. TrackEval judges identities: `pip install trackeval`.
 """
 
 import tempfile
@@ -42,6 +42,7 @@ BORDER_PX = 25.0  # vehicles whose middles are nearer to the frame's border are 
 MIN_MOVING_SPEED = 1.0  # m/s
 MIN_TOP_SPEED = 0.7  # m/s; a slower vehicle stands all the time
 MIN_OVERLAP = 0.2  # IoU with an agent that is not judged; such a track is no error
+PERSON_REACH = 1.0  # metres from a person's middle, within which a track is of that person
 
 
 def measure_case(case: FilmedCase) -> dict[str, Any]:
@@ -54,7 +55,7 @@ def measure_case(case: FilmedCase) -> dict[str, Any]:
     judged = _view(case, truth, is_vehicle & leaves)
     others = make_view(truth, case.frame_from_world, case.size, ~(is_vehicle & leaves))
     tracks = _view(case, found, np.ones(len(found.ids), bool))
-    tracks = replace(tracks, visible=_drop_others(tracks, judged, others))
+    tracks = replace(tracks, visible=_drop_others(tracks, judged, others, ~is_vehicle))
     pairs, _ = match_frames(judged, tracks)
     moving = speed > MIN_MOVING_SPEED
     row: dict[str, Any] = {"video": case.name}
@@ -87,9 +88,12 @@ def _view(case: FilmedCase, tracks: Any, kept: Bool[Array, " N"]) -> BoxView:
     return replace(view, visible=view.visible & inside)
 
 
-def _drop_others(tracks: BoxView, judged: BoxView, others: BoxView) -> Bool[Array, "N T"]:
+def _drop_others(
+    tracks: BoxView, judged: BoxView, others: BoxView, people: Bool[Array, " M"]
+) -> Bool[Array, "N T"]:
     """Which tracks are visible and lie on no agent that is not judged."""
     visible = tracks.visible.copy()
+    places = [view.tracks.states[..., :2] for view in (tracks, others)]
     for step in range(visible.shape[1]):
         rows = np.flatnonzero(visible[:, step])
         boxes = tracks.boxes[rows, step]
@@ -97,7 +101,11 @@ def _drop_others(tracks: BoxView, judged: BoxView, others: BoxView) -> Bool[Arra
             compute_iou(boxes, view.boxes[view.visible[:, step], step]).max(axis=1, initial=0)
             for view in (judged, others)
         ]
-        visible[rows[(overlaps[1] > MIN_OVERLAP) & (overlaps[1] > overlaps[0])], step] = False
+        on_other = (overlaps[1] > MIN_OVERLAP) & (overlaps[1] > overlaps[0])
+        here = places[1][people & others.tracks.present[:, step], step]
+        distance = np.hypot(*(places[0][rows, step, None] - here).transpose(2, 0, 1))
+        on_person = (distance < PERSON_REACH).any(axis=1) & (overlaps[0] < MIN_OVERLAP)
+        visible[rows[on_other | on_person], step] = False
     return visible
 
 

@@ -1,5 +1,7 @@
 """Vehicles without a detector: what differs from the map in registered frames."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
@@ -14,11 +16,15 @@ from geoaim.tracking.background_difference import Ground, find_foreground, learn
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_grid import GroundGrid, make_grid
 from geoaim.tracking.vehicle_shapes import find_shapes
+from geoaim.tracks.changes import cut_tracks
+from geoaim.tracks.tracks import Tracks
 
 LEARNING_FRAMES = 30  # spread over the video, by which the ground's noise and shadows are learnt
 MAX_RESOLUTION = 0.6  # metres per pixel; a car is no longer several pixels wide in coarser frames
 MAX_SMALL_RESOLUTION = 0.1  # metres per pixel up to which people and cyclists are told from noise
 MIN_VEHICLE_M2 = 2.0
+MIN_SEEN = 0.5  # of a track's time
+MIN_PATH_M = 1.0  # of what is smaller; such a piece that stays is a blemish of the map
 
 
 def find_vehicles(
@@ -77,6 +83,35 @@ def search_frames(
         found[frame.index] = DetectedBoxes(boxes, corners, shapes.scores)
         progress("find vehicles", len(found), len(known))
     return [found.get(index) for index in matrices]
+
+
+def drop_blemishes(tracks: Tracks) -> Tracks:
+    """Drop tracks of what is no vehicle: what is seldom seen, and small pieces that never move.
+
+    Neighbours that are now and then found as one would be joined over the times between; a small
+    piece that stays where it is, is a blemish of the map.
+
+    Args:
+        tracks: of what `find_vehicles` found, with whether each state was seen.
+
+    Returns:
+        The others.
+
+    Raises:
+        TracksError: none is left.
+    """
+    seen = tracks.present if tracks.seen is None else tracks.seen & tracks.present
+    often = seen.sum(axis=1) > MIN_SEEN * tracks.present.sum(axis=1)
+    places = np.where(tracks.present[..., None], tracks.states[..., :2], np.nan)
+    extent = np.hypot(*(np.nanmax(places, axis=1) - np.nanmin(places, axis=1)).T)
+    kept = often & ((tracks.sizes.prod(axis=1) > MIN_VEHICLE_M2) | (extent > MIN_PATH_M))
+    if not kept.any():
+        raise TracksError(
+            f"{len(kept)} tracks are found, all of small pieces that stay where they are, or of "
+            "what is seldom seen; vehicles that move are needed, or boxes (--detections)"
+        )
+    start, end = float(tracks.times[0]), float(tracks.times[-1])
+    return cut_tracks(replace(tracks, present=tracks.present & kept[:, None]), start, end - start)
 
 
 def _learn(

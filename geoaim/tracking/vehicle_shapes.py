@@ -1,6 +1,7 @@
 """Vehicles in what differs from the ground: no shadows, neighbours split, turned boxes."""
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import cv2
@@ -20,6 +21,7 @@ MIN_BODY_SHARE = 0.25  # of what differs; a smaller body is a dark vehicle with 
 MAX_WIDTH_M, MAX_LENGTH_M = 3.0, 20.0  # of a vehicle
 MAX_CAR_LENGTH_M = 6.5  # a longer vehicle is wider than `MAX_CAR_WIDTH_M`
 MAX_CAR_WIDTH_M = 2.2
+MAX_JOINED_WIDTH_M, MIN_JOINED = 2.5, 0.85  # of a car whose parts are joined; what differs in it
 MIN_FILLED = 0.55  # of a vehicle's box
 EROSIONS_M = (0.2, 0.35, 0.5, 0.65, 0.8)  # by which neighbours are told apart
 MIN_PART_M2 = 2.0  # of the core of a neighbour that is split off, before erosion
@@ -67,9 +69,8 @@ def find_shapes(
         strong = group & (strength[window] > UNIT)
         if strong.sum() * resolution**2 < MIN_STRONG_M2:
             continue
-        for part in _split(
-            _find_body(group, weak[window], shaded[window], kernel, sun), resolution
-        ):
+        body = _find_body(group, weak[window], shaded[window], kernel, sun)
+        for part in _join(_split(body, resolution), group, resolution):
             if part.sum() * resolution**2 < min_area:
                 continue
             corners = _fit_box(part)
@@ -114,6 +115,24 @@ def _split(body: Bool[Array, "h w"], resolution: float) -> list[Bool[Array, "h w
     for number in range(1, count):
         part = labels == number
         parts += [part] if _is_one(part, resolution) else _split_touching(part, resolution)
+    return parts
+
+
+def _join(
+    parts: list[Bool[Array, "h w"]], group: Bool[Array, "h w"], resolution: float
+) -> list[Bool[Array, "h w"]]:
+    """Join parts of a dark car whose roof looks like shadow: all of their common box differs."""
+    for one, other in combinations(range(len(parts)), 2):
+        corners = _fit_box(parts[one] | parts[other])
+        sides = np.hypot(*np.diff(corners[:3], axis=0).T) * resolution
+        if sides[0] > MAX_CAR_LENGTH_M or sides[1] > MAX_JOINED_WIDTH_M:
+            continue
+        box = np.zeros(group.shape, np.uint8)
+        cv2.fillConvexPoly(box, np.rint(corners - 0.5).astype(np.int32), 1)
+        inside = (box > 0) & group
+        if inside.sum() > MIN_JOINED * box.sum():
+            rest = [part for k, part in enumerate(parts) if k not in (one, other)]
+            return _join([inside, *rest], group, resolution)
     return parts
 
 

@@ -13,12 +13,14 @@ import geoaim
 from geoaim.base.errors import TracksError
 from geoaim.base.geometry import transform_points
 from geoaim.base.progress import no_progress
+from geoaim.base.world import World
 from geoaim.cli import app
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.background_difference import UNIT, find_foreground, learn_ground
-from geoaim.tracking.find_vehicles import search_frames
+from geoaim.tracking.find_vehicles import drop_blemishes, search_frames
 from geoaim.tracking.frame_poses import locate_frames
 from geoaim.tracking.vehicle_shapes import find_shapes
+from geoaim.tracks.tracks import Tracks
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 FRAMES = 20
@@ -74,6 +76,41 @@ def test_neighbours_are_told_apart():
     sides = np.linalg.norm(shapes.corners[:, 1] - shapes.corners[:, 0], axis=1) * 0.12
     np.testing.assert_allclose(sides, 38 * 0.12, atol=0.3)
     np.testing.assert_allclose(np.sort(shapes.corners.mean(axis=1)[:, 0]), [27.5, 47.5], atol=1.5)
+
+
+def test_a_dark_car_whose_roof_looks_like_shadow_is_one():
+    strength = np.zeros((60, 80), np.uint8)
+    strength[20:36, 20:58] = 2 * UNIT
+    strength[24:40, 25:63] = 2 * UNIT  # its shadow
+    shaded = (strength > 0).astype(np.uint8)
+    shaded[20:36, 20:30] = shaded[20:36, 44:58] = 0  # between its ends the roof, as dark
+    shapes = find_shapes(strength, shaded, 0.12, np.array([5.0, 4.0]))
+    assert len(shapes.corners) == 1
+    np.testing.assert_allclose(shapes.corners[0].mean(axis=0), [39, 28], atol=1.0)
+
+
+def make_tracks(paths, sizes, seen):
+    """Tracks along paths, of which shares are seen."""
+    states = np.zeros((len(paths), 20, 4))
+    states[:, :, 0] = np.linspace(0, paths, 20).T
+    return Tracks(
+        times=np.arange(20) / 10,
+        states=states,
+        present=np.ones(states.shape[:2], bool),
+        sizes=np.array(sizes, float),
+        types=("",) * len(paths),
+        ids=tuple("abcdef"[: len(paths)]),
+        world=World(None),
+        seen=np.arange(20) < 20 * np.array(seen)[:, None],
+    )
+
+
+def test_small_pieces_that_stay_and_what_is_seldom_seen_are_no_vehicles():
+    car, person, piece = (4.5, 1.8), (0.6, 0.6), (1.5, 0.6)
+    tracks = make_tracks([0, 9, 3, 0.2], [car, car, person, piece], [1.0, 0.3, 1.0, 1.0])
+    assert drop_blemishes(tracks).ids == ("a", "c")
+    with pytest.raises(TracksError, match="1 tracks are found, all of small pieces"):
+        drop_blemishes(make_tracks([0], [piece], [1.0]))
 
 
 def draw_traffic(count, standing_until):
