@@ -36,7 +36,7 @@ CLOSED_LOOP: Places = (
     *((855, "junction"), (856, "roundabout"), (857, "campus"), (858, "t")),
     *((861, "street"), (862, "roundabout"), (863, "campus"), (864, "junction")),
 )
-STEPS, LEARNING_RATE, WARMUP_STEPS = 1500, 5e-4, 20
+STEPS, LEARNING_RATE, WARMUP_STEPS = 1800, 5e-4, 20
 HISTORY, CHUNK_STEPS, CHUNKS, SAMPLES = MAX_HISTORY_STEPS, 40, 4, 2
 SEGMENT_STEPS, SEGMENTS = 50, 12  # of the bound, which is trained beside it
 BOUND_WEIGHT, KL_WEIGHT, MAX_NLL = 1.0, 3.0, 50.0

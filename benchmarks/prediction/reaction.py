@@ -42,7 +42,7 @@ from geoaim.simulation.simulator import apply_rollout, rollout
 
 SAMPLE: Places = ((1, "junction"),)
 VAL: Places = ((811, "junction"), (812, "t"), (813, "street"), (814, "roundabout"))
-TEST: Places = ((831, "junction"), (832, "t"), (833, "street"), (834, "roundabout"))
+TEST: Places = ((841, "junction"), (842, "t"), (843, "street"), (844, "roundabout"))
 HISTORY, PREDICTED, FUTURES = MAX_HISTORY_STEPS, 60, 6  # steps of 0.1 s; futures of each case
 MAX_CASES = 24  # followers of each place
 MIN_SPEED_MPS, MIN_WAY = 5.0, 0.7  # of followers; their recorded way, as a share of speed x time
