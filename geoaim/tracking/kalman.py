@@ -176,13 +176,13 @@ def smooth_tracks(
     Args:
         times: of the steps, seconds, increasing.
         rows: of the tracks.
-        filtered: what `filter_tracks` gave.
+        filtered: what `filter_tracks` gave; it is overwritten, since long videos fill the memory.
         acceleration_noise: the same as in the filter, m²/s³.
 
     Returns:
         The smoothed motion (Rauch, Tung, Striebel 1965).
     """
-    mean, covariance = filtered.mean.copy(), filtered.covariance.copy()
+    mean, covariance = filtered.mean, filtered.covariance
     for after in reversed(rows.list_steps()):
         now, step = after - 1, rows.step[after[0]]
         dt = float(times[step] - times[step - 1])
@@ -193,7 +193,7 @@ def smooth_tracks(
         gain = cross @ _invert(spread)
         mean[now] += gain @ (mean[after] - ahead)
         covariance[now] = before + gain @ (covariance[after] - spread) @ np.swapaxes(gain, 1, 2)
-    return TrackMotion(mean, covariance)
+    return filtered
 
 
 def _invert(matrices: Float[Array, "n 2 2"]) -> Float[Array, "n 2 2"]:
