@@ -27,7 +27,7 @@ from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.tracking.pipeline import track_boxes
 from geoaim.tracks.files import write_tracks
 
-FRAMES = (4_500,)
+FRAMES = (9_000, 36_000)  # at 30 frames/s: 5 and 20 minutes
 RATE, SIZE, RESOLUTION = 30.0, (1080, 1920), 0.08
 LANES, STANDING = 15, 10
 CAR = np.array([4.5, 1.8]) / RESOLUTION  # pixels

@@ -70,9 +70,10 @@ def make_states(
     heading = compute_poses(smoothed, rows, agents, detections, lanes).states[at, 2]
     position = complete_cut_boxes(detections, track, heading, agents.sizes)
     second = np.where(cut, np.hypot(COMPLETED_SIGMA_M, sigma), sigma)
-    del smoothed  # before the next one, since both fill the memory
-    smoothed = _smooth(position, second, rows, times, agents)
-    poses = compute_poses(smoothed, rows, agents, detections, lanes)
+    del smoothed  # what long videos would fill the memory with
+    again = _smooth(position, second, rows, times, agents)
+    poses = compute_poses(again, rows, agents, detections, lanes)
+    del again
     lasting = _measure_lasting(detections, agents.sizes[track], poses.states[at, 2], noise)
     poses = _add_lasting(poses, rows, agents, (lasting, np.where(cut, size_sigma[track] / 2, 0.0)))
     found = {
