@@ -1,5 +1,6 @@
 """Build an AIM from video: registration, background, georeference, in this order."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn, TypeVar
@@ -27,6 +28,7 @@ from geoaim.mapping.georeference.reference_frame import (
 )
 from geoaim.mapping.georeference.transform_models import distort_points
 from geoaim.mapping.registration import register
+from geoaim.mapping.registration.hover import find_hover
 from geoaim.mapping.registration.placements import MOVING_PART
 from geoaim.mapping.report import (
     report_background,
@@ -104,19 +106,22 @@ def build_aim(
     sample = sample_video(opened, frames)
     vehicles = None if detections is None else _remember(read_detections(detections, video=opened))
     given = gcps if gcps is None or isinstance(gcps, Georeference) else read_control_points(gcps)
-    reference = register.choose_reference(
-        opened,
-        detections=vehicles,
-        model="rest" if opened.is_fixed else None,
-        time=choose_reference_time(given),
-        probes=list(sample.read()) if sample.is_kept else (),
-        prefer_first=is_anywhere(given),
-    )
-    georeference, points, reference = _georeference(given, opened, reference, vehicles, crs)
     photos = opened.names is not None
-    registration, background = _register_and_average(
-        sample, reference, vehicles, progress, photos=photos
-    )
+    try:
+        reference = register.choose_reference(
+            opened,
+            detections=vehicles,
+            model="rest" if opened.is_fixed else None,
+            time=choose_reference_time(given),
+            probes=list(sample.read()) if sample.is_kept else (),
+            prefer_first=is_anywhere(given),
+        )
+        georeference, points, reference = _georeference(given, opened, reference, vehicles, crs)
+        registration, background = _register_and_average(
+            sample, reference, vehicles, progress, photos=photos
+        )
+    except RegistrationError as error:
+        raise RegistrationError(f"{error}{'' if photos else _advise_cut(sample)}") from error
     _warn_of_limits(registration, background, photos=photos, has_boxes=vehicles is not None)
     background = remove_distortion(background, georeference.radial)
     method = _describe_method(vehicles, sample, registration)
@@ -202,6 +207,25 @@ def _register_and_average(
     return registration, replace(plain, contested=plain.coverage > 0)
 
 
+def _advise_cut(sample: Sample) -> str:
+    """Say when the camera hovers, if it does so in a part of the video only."""
+    times: list[float] = []
+
+    def read() -> Iterator[Frame]:
+        for frame in sample.read():
+            times.append(frame.time)
+            yield frame
+
+    if (hover := find_hover(read())) is None or hover == (times[0], times[-1]):
+        return ""
+    start, end = (f"{time:.1f}" for time in hover)
+    return (
+        f". The view stays from {start} to {end} s of {times[0]:.1f} to {times[-1]:.1f} s: build "
+        f"the map of that part (ffmpeg -ss {start} -to {end} -i VIDEO -c copy PART.mp4), with "
+        "points that are picked on its frames"
+    )
+
+
 def _refuse_few_frames(registration: register.Registration) -> NoReturn:
     valid, counts = registration.valid, register.count_reasons(registration.reason)
     advice = ""
@@ -242,10 +266,12 @@ def _warn_of_limits(
             f"and is contested everywhere; {SURVEY_ADVICE}"
         )
         return
+    seconds = registration.time[valid]
     if valid.mean() < MIN_USED_SHARE:
         warn(
             f"only {valid.sum()} of {len(valid)} frames could be registered to the reference at "
-            f"{reference.time:.1f} s ({', '.join(register.count_reasons(registration.reason))})"
+            f"{reference.time:.1f} s ({', '.join(register.count_reasons(registration.reason))}), "
+            f"those between {seconds[0]:.1f} and {seconds[-1]:.1f} s"
         )
     typical = float(np.median(registration.uncertainty[valid]))
     if typical > MAX_TYPICAL_UNCERTAINTY_PX:
@@ -268,9 +294,12 @@ def _warn_of_limits(
     centres = transform_points(registration.reference_from_frame[valid], middle)[:, 0]
     inside = ((centres > 0) & (centres < [reference.width, reference.height])).all(axis=1)
     if not inside.all():
+        stays = seconds[inside]
         warn(
             f"the view leaves the reference at {reference.time:.1f} s in {(~inside).sum()} of "
-            f"{valid.sum()} frames, and the map ends there: build a separate map of each place"
+            f"{valid.sum()} frames, and the map ends there; its middle is in view between "
+            f"{stays[0]:.1f} and {stays[-1]:.1f} s: cut the video there, and build a separate "
+            "map of each place"
         )
 
 

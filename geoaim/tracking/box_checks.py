@@ -73,6 +73,9 @@ def _find_single(boxes: DetectedBoxes, rows: Int[Array, " n"]) -> Int[Array, " m
     ends = np.asarray(boxes.boxes, np.float64)[rows]
     low = np.maximum(ends[:, None, :2], ends[None, :, :2])
     shared = (np.minimum(ends[:, None, 2:], ends[None, :, 2:]) - low).clip(0).prod(axis=2)
+    np.fill_diagonal(shared, 0)
+    if not shared.any():
+        return np.arange(len(rows))
     area = (ends[:, 2:] - ends[:, :2]).prod(axis=1)
     types = boxes.get_types()[rows]
     least = np.minimum(area[:, None], area)

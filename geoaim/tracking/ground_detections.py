@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -62,15 +61,40 @@ def place_boxes(
     Returns:
         The detections of the frames whose transform is known.
     """
-    parts = [
-        _place_frame(step, boxes, matrix, size)
+    known = [
+        (step, boxes)
         for step, (boxes, matrix) in enumerate(zip(frames, world_from_frame, strict=True))
         if boxes is not None and np.isfinite(matrix).all()
-    ]
-    parts = parts or [_place_frame(0, DetectedBoxes(np.empty((0, 4))), np.eye(3), size)]
-    fields = GroundDetections.__dataclass_fields__
+    ] or [(0, DetectedBoxes(np.empty((0, 4))))]
+    # all frames at once, since small arrays of each would stay in memory
+    counts = [len(boxes.boxes) for _, boxes in known]
+    step = np.repeat([number for number, _ in known], counts)
+    oriented = np.repeat([boxes.corners is not None for _, boxes in known], counts)
+    bounds = np.concatenate([boxes.boxes for _, boxes in known])
+    corners = np.concatenate([boxes.get_corners() for _, boxes in known])
+    matrix = world_from_frame[step]
+    position = transform_points(matrix, corners.mean(axis=1, keepdims=True))[:, 0]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
+    start, sides = corners[:, :1], MID_SIDES[None]
+    ends = start + sides[..., :1] * first[:, None] + sides[..., 1:] * second[:, None]
+    ground = transform_points(matrix, ends)
+    along, across = ground[:, 1] - ground[:, 0], ground[:, 3] - ground[:, 2]
+    extent = np.column_stack([np.hypot(*along.T), np.hypot(*across.T)])
+    pixels = np.hypot(*first.T) * np.hypot(*second.T)
+    limits = np.array(size[::-1])
+    near = np.stack([bounds[:, :2] < BORDER_PX, bounds[:, 2:] > limits - BORDER_PX], -1)
     return GroundDetections(
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
+        step=step,
+        position=position,
+        axis=np.arctan2(along[:, 1], along[:, 0]),
+        down=across / np.maximum(extent[:, 1:], 1e-9),
+        extent=extent,
+        oriented=oriented,
+        cut=near & ~oriented[:, None, None],
+        resolution=np.sqrt(extent.prod(axis=1) / np.maximum(pixels, 1e-9)),
+        score=np.concatenate([boxes.get_scores() for _, boxes in known]),
+        types=np.concatenate([boxes.get_types() for _, boxes in known]),
+        ids=np.concatenate([boxes.get_ids() for _, boxes in known]),
     )
 
 
@@ -78,39 +102,3 @@ def select_detections(detections: GroundDetections, chosen: Array) -> GroundDete
     """Select detections by a mask or by numbers."""
     fields = GroundDetections.__dataclass_fields__
     return replace(detections, **{name: getattr(detections, name)[chosen] for name in fields})
-
-
-def _place_frame(
-    step: int, boxes: DetectedBoxes, matrix: Float[Array, "3 3"], size: tuple[int, int]
-) -> GroundDetections:
-    count = len(boxes.boxes)
-    corners = boxes.get_corners()
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
-    ends = (
-        corners[:, :1]
-        + MID_SIDES[None, :, :1] * first[:, None]
-        + MID_SIDES[None, :, 1:] * second[:, None]
-    )
-    ground = transform_points(matrix, ends)
-    along, across = ground[:, 1] - ground[:, 0], ground[:, 3] - ground[:, 2]
-    extent = np.column_stack([np.hypot(*along.T), np.hypot(*across.T)])
-    oriented = np.full(count, boxes.corners is not None)
-    axis = np.arctan2(along[:, 1], along[:, 0])
-    pixels = np.hypot(*first.T) * np.hypot(*second.T)
-    limits = np.array(size[::-1])
-    near = np.stack([boxes.boxes[:, :2] < BORDER_PX, boxes.boxes[:, 2:] > limits - BORDER_PX], -1)
-    cut = near & ~oriented[:, None, None]
-    values: dict[str, Any] = {
-        "step": np.full(count, step),
-        "position": transform_points(matrix, corners.mean(axis=1)),
-        "axis": axis,
-        "down": across / np.maximum(extent[:, 1:], 1e-9),
-        "extent": extent,
-        "oriented": oriented,
-        "cut": cut,
-        "resolution": np.sqrt(extent.prod(axis=1) / np.maximum(pixels, 1e-9)),
-        "score": boxes.get_scores(),
-        "types": boxes.get_types(),
-        "ids": boxes.get_ids(),
-    }
-    return GroundDetections(**values)

@@ -18,7 +18,7 @@ from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.mapping.video.detections import DetectedBoxes, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
-from geoaim.tracking.association import MIN_HITS, MIN_START_SCORE, associate
+from geoaim.tracking.association import MIN_HITS, MIN_START_SCORE, Tracklets, associate
 from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_boxes
 from geoaim.tracking.find_vehicles import drop_blemishes, search_frames
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
@@ -145,6 +145,18 @@ def track_boxes(
     Raises:
         TracksError: no track is found.
     """
+    tracks = make_states(*_follow_boxes(frames, world_from_frame, times, size), times, world, lanes)
+    check_tracks(tracks)
+    return tracks
+
+
+def _follow_boxes(
+    frames: Sequence[DetectedBoxes | None],
+    world_from_frame: Float[Array, "T 3 3"],
+    times: Float[Array, "T"],
+    size: tuple[int, int],
+) -> tuple[GroundDetections, Tracklets]:
+    """Place boxes on the ground and associate them; those of no track are left out."""
     frames, doubled, empty = drop_doubled_boxes(frames)
     if doubled > MAX_DOUBLED * sum(len(boxes.boxes) for boxes in frames if boxes is not None):
         warn(f"{doubled} boxes lie on another one, or are a part of one, and are left out")
@@ -163,9 +175,7 @@ def track_boxes(
     _report_unused_boxes(detections, tracklets.track)
     detections = select_detections(detections, kept)
     tracklets = replace(tracklets, track=tracklets.track[kept], sigma=tracklets.sigma[kept])
-    tracks = make_states(detections, tracklets, times, world, lanes)
-    check_tracks(tracks)
-    return tracks
+    return detections, tracklets
 
 
 def _report_unused_boxes(detections: GroundDetections, track: Int[Array, "M"]) -> None:

@@ -54,10 +54,7 @@ def make_states(
     Returns:
         The tracks, from each agent's first detection to its last.
     """
-    own = make_rows(tracklets.track, detections.step)
-    observed, agent = _observe(detections, tracklets, own, times, lanes)
-    track = agent[tracklets.track]
-    rows = make_rows(track, detections.step)
+    rows, track, observed = _observe(detections, tracklets, times, lanes)
     at = np.empty(len(track), int)  # the row of each detection
     at[rows.detection[rows.detection >= 0]] = np.flatnonzero(rows.detection >= 0)
     noise = estimate_noise(detections, track, times)
@@ -73,18 +70,18 @@ def make_states(
     heading = compute_poses(smoothed, rows, agents, detections, lanes).states[at, 2]
     position = complete_cut_boxes(detections, track, heading, agents.sizes)
     second = np.where(cut, np.hypot(COMPLETED_SIGMA_M, sigma), sigma)
-    smoothed = _smooth(position, second, rows, times, agents)
-    poses = compute_poses(smoothed, rows, agents, detections, lanes)
+    del smoothed  # what long videos would fill the memory with
+    again = _smooth(position, second, rows, times, agents)
+    poses = compute_poses(again, rows, agents, detections, lanes)
+    del again
     lasting = _measure_lasting(detections, agents.sizes[track], poses.states[at, 2], noise)
     poses = _add_lasting(poses, rows, agents, (lasting, np.where(cut, size_sigma[track] / 2, 0.0)))
-    start = rows.bounds[agent[own.agent]]
     found = {
         "states": poses.states,
-        "observed": np.full(poses.states.shape, np.nan),
+        "observed": observed,
         "seen": rows.detection >= 0,
         "uncertainty": poses.uncertainty,
     }
-    found["observed"][start + own.step - rows.step[start]] = observed
     present = np.zeros((len(agents.types), len(times)), bool)
     present[rows.agent, rows.step] = True
     return Tracks.from_rows(
@@ -101,14 +98,14 @@ def make_states(
 def _observe(
     detections: GroundDetections,
     tracklets: Tracklets,
-    rows: TrackRows,
     times: Float[Array, "T"],
     lanes: Directions | None,
-) -> tuple[Float[Array, "S 4"], Int[Array, "N"]]:
-    """What was known of each track as the frames came, and the number of its agent.
+) -> tuple[TrackRows, Int[Array, "M"], Float[Array, "S 4"]]:
+    """What was known as the frames came, in rows of joined tracks, with each detection's agent.
 
     From a track's confirmation on, its type, size and first heading stay those of its first boxes.
     """
+    rows = make_rows(tracklets.track, detections.step)
     seen = _list_detections(rows)
     early = [part[:MIN_HITS] for part in seen]
     early = [
@@ -128,7 +125,12 @@ def _observe(
     observed[rows.step < tracklets.confirmed[rows.agent]] = np.nan
     smoothed = smooth_tracks(times, rows, filtered, noise)
     types = _describe_agents(detections, seen).types
-    return observed, join_tracks(smoothed, rows, types, detections, times)
+    agent = join_tracks(smoothed, rows, types, detections, times)
+    joined = make_rows(agent[tracklets.track], detections.step)
+    placed = np.full((len(joined.step), 4), np.nan)
+    start = joined.bounds[agent[rows.agent]]
+    placed[start + rows.step - joined.step[start]] = observed
+    return joined, agent[tracklets.track], placed
 
 
 def _list_detections(rows: TrackRows) -> list[Int[Array, "_"]]:

@@ -12,6 +12,7 @@ from geoaim.base.progress import no_progress
 from geoaim.mapping import pipeline
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
+from geoaim.mapping.video.video import open_video
 from tests.conftest import textured
 
 # a plane of its own: 5 cm a pixel, y up
@@ -193,6 +194,17 @@ def test_frames_that_fit_nothing_are_counted_in_the_refusal(frames):
     noise = [np.roll(other, 97 * i, axis=(i % 2)) for i in range(5)]
     with pytest.raises(RegistrationError, match="1 of 6 frames could be registered"):
         build_aim([frames[0], *noise], points_on(0))
+
+
+def test_the_hover_of_a_flight_is_named_where_the_first_frame_is_of_the_take_off():
+    ground = textured(np.random.default_rng(5), 720, 1280)
+    flight = []
+    for scale in (*np.geomspace(16, 1.3, 8), *[1.0] * 12, *np.geomspace(1.3, 6, 6)):
+        left, top = np.array([640, 360]) * (1 - 0.5 / scale)
+        matrix = np.array([[scale, 0, -left * scale], [0, scale, -top * scale]])
+        flight.append(cv2.warpAffine(ground, matrix, (640, 360)))
+    with pytest.raises(RegistrationError, match=r"stays from 8\.0 to 19\.0 s of 0\.0 to 25\.0 s"):
+        build_aim(open_video(flight, rate=1.0), points_on(0))
 
 
 def test_detections_of_few_frames_are_warned_of(frames):

@@ -1,3 +1,5 @@
+from copy import deepcopy
+
 import numpy as np
 
 from geoaim.tracking.kalman import filter_tracks, make_rows, predict, smooth_tracks
@@ -11,7 +13,7 @@ def run(positions, sigma=0.1):
     rows, noise = make_rows(track, step), np.ones(len(positions))
     measured = positions[track, step][rows.detection]
     filtered = filter_tracks(TIMES, rows, measured, np.full(len(measured), sigma), noise)
-    return rows, filtered, smooth_tracks(TIMES, rows, filtered, noise)
+    return rows, deepcopy(filtered), smooth_tracks(TIMES, rows, filtered, noise)
 
 
 def test_a_straight_path_has_its_velocity_at_a_variable_rate():

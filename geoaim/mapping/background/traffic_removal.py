@@ -38,13 +38,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Int, UInt8, UInt16
+from jaxtyping import Bool, Float32, Int, Int32, UInt8, UInt16
 from numpy import ndarray as Array
 
 Stack = UInt8[Array, "K h w 3"]  # small frames
 Image = UInt8[Array, "h w 3"]
 Masks = Bool[Array, "K h w"]
 Pixels = Int[Array, "2 m"]  # rows and columns
+Votes = list[tuple[Int[Array, " m"], Float32[Array, " m"]]]  # of each frame: flat pixels, votes
 
 MIN_FRAMES = 4  # with fewer frames, a majority may be chance
 # of the background; where queues stood, 15.6 grey levels, 16.2 with one and 15.5 with three
@@ -90,12 +91,11 @@ def find_traffic(stack: Stack, seen: Masks, order: Int[Array, "K"] | None = None
     for _ in range(UPDATES):
         masks = _segment_frames(_compare_frames(stack, seen, background, threshold))
         beyond = find_beyond(masks, seen, order)
-        # the votes are not kept under a name, as they take as much memory as the frames
-        background = _update_background(
-            stack, background, _vote_by_frames(stack, masks, background), beyond, threshold
-        )
+        votes = _vote_by_frames(stack, masks, background)
+        background = _update_background(stack, seen, background, votes, beyond, threshold)
     masks = _segment_frames(_compare_frames(stack, seen, background, threshold))
-    highest, mean = _summarise_votes(_vote_by_frames(stack, masks, background))
+    votes = _vote_by_frames(stack, masks, background)
+    highest, mean = _summarise_votes(votes, masks.shape[1:])
     doubtful = highest > MAX_VOTE
     doubtful |= _find_rarely_clear(_dilate(masks, seen), seen)
     background, contested = continue_ground(
@@ -105,12 +105,12 @@ def find_traffic(stack: Stack, seen: Masks, order: Int[Array, "K"] | None = None
     masks = _segment_frames(differs)
     clear = seen & ~masks
     is_single = _count_times(clear, order) <= 1
-    is_single &= clear.sum(0) < MAX_SINGLE_SHARE * seen.sum(0)
+    is_single &= count_frames(clear) < MAX_SINGLE_SHARE * count_frames(seen)
     contested |= is_single & (mean > MIN_CLEAR_MEAN)
     contested |= find_seams(differs, seen)
     masks = _dilate(masks, seen)
     # what a segmentation misses: a car of a few pixels, its windows, the rim of a shadow
-    differs &= ~contested & (differs.sum(0) < seen.sum(0) / 2)
+    differs &= ~contested & (count_frames(differs) < count_frames(seen) / 2)
     for visible, mask, small in zip(seen, masks, differs, strict=True):
         mask |= _dilate_square(small) & visible
         mask |= _dilate_square(mask) & ~visible  # small pixels lie half outside of a box
@@ -118,12 +118,22 @@ def find_traffic(stack: Stack, seen: Masks, order: Int[Array, "K"] | None = None
 
 
 def _summarise_votes(
-    votes: Float32[Array, "K h w"],
+    votes: Votes, shape: tuple[int, ...]
 ) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
     """The highest vote at each pixel, and the mean of those cast: -1, a clear one, without any."""
-    number = np.count_nonzero(votes, axis=0)
-    mean = votes.sum(0) / np.maximum(number, 1).astype(np.float32)
-    return votes.max(0), np.where(number > 0, mean, np.float32(-1))
+    highest, total, number = np.zeros((3, shape[0] * shape[1]), np.float32)
+    for where, vote in votes:
+        highest[where] = np.maximum(highest[where], vote)
+        total[where] += vote
+        number[where] += 1
+    mean = np.where(number > 0, total / np.maximum(number, 1), np.float32(-1))
+    return highest.reshape(shape), mean.reshape(shape)
+
+
+def count_frames(masks: Masks) -> Int32[Array, "h w"]:
+    """Count in how many frames each pixel is set."""
+    kind = np.uint8 if len(masks) < 256 else np.uint16  # NumPy's own sums take ten times as long
+    return np.add.reduce(masks.view(np.uint8), axis=0, dtype=kind).astype(np.int32)
 
 
 def _count_times(clear: Masks, order: Int[Array, "K"]) -> UInt16[Array, "h w"]:
@@ -166,22 +176,23 @@ def _segment_frames(differs: Masks) -> Masks:
         return np.stack(list(pool.map(_segment_foreground, differs))).view(bool)
 
 
-def _vote_by_frames(stack: Stack, regions: Masks, background: Image) -> Float32[Array, "K h w"]:
+def _vote_by_frames(stack: Stack, regions: Masks, background: Image) -> Votes:
     """Votes of all frames in their regions (step 3)."""
-    votes = np.zeros(regions.shape, np.float32)
+    sides = (np.arange(side, dtype=np.int32) for side in regions.shape[1:])
+    rows, columns = (places // BORDER_CELL_PX for places in sides)
+    cells = (rows[:, None] * (columns[-1] + 1) + columns).ravel()
 
-    def vote(k: int) -> None:
-        _vote_by_borders(stack[k], background, regions[k].view(np.uint8), votes[k])
+    def vote(pair: tuple[Image, Bool[Array, "h w"]]) -> tuple[Array, Array]:
+        return _vote_by_borders(pair[0], background, pair[1].view(np.uint8), cells)
 
     with ThreadPoolExecutor(cv2.getNumThreads()) as pool:
-        list(pool.map(vote, range(len(stack))))
-    return votes
+        return list(pool.map(vote, zip(stack, regions, strict=True)))
 
 
 def _vote_by_borders(
-    frame: Image, background: Image, foreground: UInt8[Array, "h w"], votes: Float32[Array, "h w"]
-) -> None:
-    """Fill in the votes of one frame (step 3), which are 0 outside its foreground."""
+    frame: Image, background: Image, foreground: UInt8[Array, "h w"], cells: Int[Array, " p"]
+) -> tuple[Int[Array, " m"], Float32[Array, " m"]]:
+    """The flat pixels of one frame's foreground, and the votes there (step 3)."""
     # steps nearby separate a vehicle from a false region that touches it, the mean is less noisy
     border = find_pixels(foreground - cv2.erode(foreground, SQUARE, borderValue=1))
     sides = _find_sides(border, foreground)
@@ -189,14 +200,14 @@ def _vote_by_borders(
     count, labels = cv2.connectedComponents(foreground, connectivity=4)
     region = labels[tuple(border)]
     length = np.maximum(np.bincount(region, minlength=count), 1)
-    pixels = find_pixels(foreground)
-    label = labels[tuple(pixels)]
+    where = np.flatnonzero(foreground)
+    label, cell = labels.ravel()[where], cells[where]
     difference, total = (
-        _sum_nearby(border, steps, foreground.shape)[tuple(pixels // BORDER_CELL_PX)]
+        _sum_nearby(border, steps, foreground.shape).ravel()[cell]
         + (REGION_WEIGHT_PX * np.bincount(region, steps, count) / length).astype(np.float32)[label]
         for steps in (of_background - of_frame, of_background + of_frame)
     )
-    votes[tuple(pixels)] = difference / np.maximum(total, 1e-3)
+    return where, difference / np.maximum(total, np.float32(1e-3))
 
 
 def _find_sides(border: Pixels, foreground: UInt8[Array, "h w"]) -> list[Pixels]:
@@ -228,34 +239,32 @@ def _sum_nearby(
 
 
 def _update_background(
-    stack: Stack, background: Image, votes: Float32[Array, "K h w"], beyond: Masks, threshold: float
+    stack: Stack, seen: Masks, background: Image, votes: Votes, beyond: Masks, threshold: float
 ) -> Image:
     """Replace background pixels where weighted votes and support agree (step 4)."""
-    highest, left = np.zeros((2, *background.shape[:2]), np.float32)
+    highest, left, weighted = np.zeros((3, background.size // 3), np.float32)
     updated = background.copy()
-    for frame, vote, after in zip(stack, votes, beyond, strict=True):
-        higher = (vote > highest).view(np.uint8)
-        cv2.copyTo(vote, higher, highest)
-        cv2.copyTo(frame, higher, updated)
-        cv2.copyTo(vote * after, higher, left)
+    for frame, (where, vote), after in zip(stack, votes, beyond, strict=True):
+        higher = vote > highest[where]
+        chosen, value = where[higher], vote[higher]
+        highest[chosen] = value
+        updated.reshape(-1, 3)[chosen] = frame.reshape(-1, 3)[chosen]
+        left[chosen] = value * after.ravel()[chosen]
     # elsewhere no frame votes for another background
-    pixels = find_pixels((highest > 0).view(np.uint8))
-    where = tuple(pixels)
-    alike = find_alike(stack, pixels, updated[where], threshold)
-    weighted = np.zeros(pixels.shape[1], np.float32)
-    for vote, same in zip(votes, alike, strict=True):
-        weighted += vote[where] * same
-    lasting = (alike.sum(0) >= max(MIN_SUPPORT * len(stack), 2)) | (left[where] > MAX_VOTE)
-    replaced = (weighted > 0) & lasting
-    mean = average_at(stack, pixels, alike, background[where])
-    updated[where] = np.where(replaced[:, None], mean, background[where])
-    return updated
+    voted = highest.reshape(updated.shape[:2]) > 0
+    alike = find_alike(stack, seen, updated, threshold)
+    for (where, vote), same in zip(votes, alike, strict=True):
+        weighted[where] += vote * same.ravel()[where]
+    weighted, left = (values.reshape(voted.shape) for values in (weighted, left))
+    lasting = (count_frames(alike) >= max(MIN_SUPPORT * len(stack), 2)) | (left > MAX_VOTE)
+    replaced = voted & (weighted > 0) & lasting
+    return average_frames_at(stack, alike, replaced, background)
 
 
 def _find_rarely_clear(masks: Masks, seen: Masks) -> Bool[Array, "h w"]:
     """Pixels of which hardly any frame shows the ground."""
-    views = seen.sum(0)
-    clear = views - masks.sum(0)
+    views = count_frames(seen)
+    clear = views - count_frames(masks)
     return np.asarray((clear < np.maximum(MIN_SUPPORT * views, 2)) & (views > 0))
 
 
@@ -274,15 +283,10 @@ def continue_ground(
     guess = np.asarray(cv2.inpaint(background, unknown, INPAINTING_PX, cv2.INPAINT_TELEA), np.uint8)
     largest = round(LARGEST_DIFFERENCE * threshold)
     chosen, cost = _choose_frames(stack, seen, guess, unknown, largest)
-    pixels = find_pixels(unknown)
-    where = tuple(pixels)
-    alike = find_alike(stack, pixels, chosen[where], threshold) & seen[:, where[0], where[1]]
-    known = (alike.sum(0) >= MIN_REPEATS) | (cost[where] < MAX_COST * largest)
-    continued, left = background.copy(), np.zeros(unknown.shape, bool)
-    mean = average_at(stack, pixels, alike, background[where])
-    continued[where] = np.where(known[:, None], mean, background[where])
-    left[where] = ~known
-    return continued, left
+    alike = find_alike(stack, seen, chosen, threshold)
+    known = (count_frames(alike) >= MIN_REPEATS) | (cost < MAX_COST * largest)
+    inside = unknown.view(bool)
+    return average_frames_at(stack, alike, inside & known, background), inside & ~known
 
 
 def _choose_frames(
@@ -333,14 +337,14 @@ def compute_median(stack: UInt8[Array, "K h w c"], seen: Masks) -> UInt8[Array, 
     `stack` becomes 0 in place where a frame does not see a pixel.
     """
     kind = np.uint8 if len(stack) < 256 else np.uint16
-    half = np.maximum(seen.sum(0, dtype=np.uint16), 1)[..., None] / np.float32(2)
+    half = np.maximum(count_frames(seen), 1)[..., None] / np.float32(2)
     stack[~seen] = 0  # never counts as bright
     low = np.zeros(stack.shape[1:], np.uint8)
     for bit in (128, 64, 32, 16, 8, 4, 2, 1):
         middle = low | np.uint8(bit)
         count = np.zeros(low.shape, kind)
         for frame in stack:
-            count += frame >= middle
+            count += (frame >= middle).view(np.uint8)
         low = np.where(count >= half, middle, low)
     return low
 
@@ -376,20 +380,24 @@ def find_pixels(mask: UInt8[Array, "h w"]) -> Pixels:
     return np.empty((2, 0), np.int32) if points is None else points.reshape(-1, 2)[:, ::-1].T
 
 
-def find_alike(
-    stack: Stack, pixels: Pixels, colours: UInt8[Array, "m 3"], threshold: float
-) -> Bool[Array, "K m"]:
-    """Find which frames have nearly the given colours."""
-    colour = colours.astype(np.int16)
-    return np.stack([np.abs(frame[tuple(pixels)] - colour).max(-1) <= threshold for frame in stack])
+def find_alike(stack: Stack, seen: Masks, image: Image, threshold: float) -> Masks:
+    """Find where frames that see the image have nearly its colours."""
+    alike = np.empty(seen.shape, bool)
+    for frame, visible, same in zip(stack, seen, alike, strict=True):
+        np.less_equal(measure_difference(frame, image), threshold, out=same)
+        same &= visible
+    return alike
 
 
-def average_at(
-    stack: Stack, pixels: Pixels, selected: Bool[Array, "K m"], default: UInt8[Array, "m 3"]
-) -> UInt8[Array, "m 3"]:
-    """Average the selected frames at some pixels."""
+def average_frames_at(
+    stack: Stack, selected: Masks, where: Bool[Array, "h w"], default: Image
+) -> Image:
+    """Average the selected frames at some pixels; elsewhere, and without any, the default stays."""
     total = np.zeros(default.shape, np.float32)
     for frame, chosen in zip(stack, selected, strict=True):
-        total += frame[tuple(pixels)] * chosen[:, None]
-    count = selected.sum(0)[:, None]
-    return np.where(count > 0, np.rint(total / np.maximum(count, 1)), default).astype(np.uint8)
+        cv2.accumulate(frame, total, chosen.view(np.uint8))
+    count = count_frames(selected)
+    mean = default.copy()
+    inside = where & (count > 0)
+    mean[inside] = np.rint(total[inside] / count[inside][:, None])
+    return mean

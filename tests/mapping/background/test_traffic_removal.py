@@ -1,13 +1,13 @@
 import numpy as np
 
 from geoaim.mapping.background.traffic_removal import (
-    average_at,
+    average_frames_at,
     compute_median,
     continue_ground,
+    count_frames,
     estimate_noise,
     find_alike,
     find_beyond,
-    find_pixels,
     find_seams,
     find_traffic,
     measure_difference,
@@ -143,16 +143,21 @@ def test_median_and_noise_are_those_of_the_frames_that_see_a_pixel():
 
 
 def test_frames_that_look_alike_are_averaged_and_others_left_out():
-    stack = np.stack([WHITE - 4, WHITE, WHITE // 2])
-    pixels = find_pixels(np.eye(3, 4, dtype=np.uint8))
-    assert pixels.tolist() == [[0, 1, 2], [0, 1, 2]]
-    colours = WHITE[tuple(pixels)]
-    alike = find_alike(stack, pixels, colours, 8)
-    assert alike.tolist() == [[True] * 3, [True] * 3, [False] * 3]
-    assert (average_at(stack, pixels, alike, colours) == 248).all()
+    stack, seen = np.stack([WHITE - 4, WHITE, WHITE // 2]), np.ones((3, 3, 4), bool)
+    seen[0, 0] = False
+    alike = find_alike(stack, seen, WHITE, 8)
+    assert [same.all() for same in alike[:, 1:]] == [True, True, False]
+    assert not alike[0, 0].any()
+    where = np.eye(3, 4, dtype=bool)
+    mean = average_frames_at(stack, alike, where, WHITE // 3)
+    assert (mean[~where] == WHITE[0, 0] // 3).all()
+    assert mean[where][:, 0].tolist() == [250, 248, 248]
 
 
 def test_the_default_stays_where_no_frame_is_selected():
-    pixels, default = np.array([[0], [0]]), np.array([[1, 2, 3]], np.uint8)
-    none = np.zeros((1, 1), bool)
-    assert (average_at(WHITE[None], pixels, none, default) == default).all()
+    nowhere, everywhere = np.zeros((1, 3, 4), bool), np.ones((3, 4), bool)
+    assert (average_frames_at(WHITE[None] // 2, nowhere, everywhere, WHITE) == WHITE).all()
+
+
+def test_frames_are_counted_beyond_what_a_byte_holds():
+    assert (count_frames(np.ones((300, 2, 2), bool)) == 300).all()
