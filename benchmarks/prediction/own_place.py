@@ -2,8 +2,9 @@
 
     python -m benchmarks.prediction own_place
 
-Headings and speeds come from positions. The network of a place and the number of steps were chosen
-at `VAL`; `TEST` judged once.
+Headings and speeds of real recordings come from positions. That half of the samples follow the
+network of the place was chosen at `VAL`; no choice has seen the places of `TEST`, though k729 was
+judged once before, when all samples followed it.
 """
 
 import time
@@ -60,7 +61,7 @@ VAL: dict[str, Callable[[], _Recording]] = {
 }
 TEST: dict[str, Callable[[], _Recording]] = {
     "Karlsruhe k729": lambda: _read_junction(KARLSRUHE[0]),
-    "made junction 931": lambda: _draw_junction(931),
+    "made junction 932": lambda: _draw_junction(932),
 }
 
 

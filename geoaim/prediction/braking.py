@@ -110,6 +110,8 @@ def _find_leaders(
     along, aside = _project(pose, curvature, others[..., :2])
     turn = others[..., 2] - pose[:, None, 2] - curvature[:, None] * along
     length, width = _measure_extents(turn, sizes)
+    stands = others[..., 3].abs() < MIN_SPEED_MPS  # its heading is often not known
+    width = torch.where(stands, sizes[..., 1], width)
     gap = along - (size[:, None, 0] + length) / 2
     pace = others[..., 3] * turn.cos()
     touches = aside.abs() < (size[:, None, 1] + width) / 2 + SIDE_MARGIN_M

@@ -41,8 +41,6 @@ def write_model(model: ITRA, path: str | os.PathLike[str]) -> None:
         state["own_place"] = {
             "history": place.history,
             "horizon": place.horizon,
-            "yields": place.yields,
-            "placed": place.placed,
             "weights": tensors,
         }
     if (known := model.known_views) is not None:
@@ -104,10 +102,9 @@ def _read_place(
     config: Config, state: dict[str, Any]
 ) -> tuple[PlainNetwork, dict[str, torch.Tensor]]:
     """Make the network of a place from its part of a file; with its weights."""
-    options = {name: state[name] for name in ("yields", "placed")}
-    options["cells"] = state["weights"].get("cells")
+    cells = state["weights"].get("cells")
     with torch.device("meta"):
-        network = PlainNetwork(config, state["history"], state["horizon"], **options)
+        network = PlainNetwork(config, state["history"], state["horizon"], cells=cells)
     return network, _load(network, state["weights"])
 
 

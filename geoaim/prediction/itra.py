@@ -15,8 +15,8 @@ All other agents replay their ground truth. Agents enter and leave as recorded.
 Beyond the paper, a model may have trajectory proposals (`anchors`): at the last observed step it
 proposes `num_anchors` of them, and each sample follows one, as a further input of f_theta.
 
-A model that was trained on a place holds a network of that place (`plain`): the first samples of
-agents that drive there follow its proposals, and brake for others as the config says.
+A model that was trained on a place holds a network of that place (`plain`): half of the samples of
+agents that drive there, the first ones, follow its proposals, and brake as the config says.
 
 Shapes: B segments, K samples, N agents, T steps, E controlled agents of all segments, F features,
 H hidden state, Z latent, A proposals, P points of a proposal.
@@ -401,7 +401,7 @@ class ITRA(nn.Module):
     def _plan(self, rollout: Rollout, segments: Segments, goals: Mapping[str, Goal]) -> Rollout:
         """Give agents the paths to their goals, and others the proposals of a place's network.
 
-        Each of the first samples of a segment has a proposal of its own, for all agents.
+        Each sample of the first half has a proposal of its own, for all agents of a segment.
         """
         controlled, samples, dt = rollout.batch.controlled, rollout.samples, segments.dt
         row, agent = controlled.segment // samples, controlled.agent
@@ -411,9 +411,8 @@ class ITRA(nn.Module):
             plans, planned = self.own_place.plan(segments, rollout.batch.history)
             proposed = plans[row, agent, rank.clamp_max(plans.shape[2] - 1)]  # (E, t, 4)
             states = torch.cat([states, proposed], dim=1)
-            follows = planned[row, agent] & (rank < plans.shape[2])
+            follows = planned[row, agent] & (rank < min(plans.shape[2], (samples + 1) // 2))
             steps = torch.where(follows, proposed.shape[1], steps)
-        yields = (steps == 0) | (self.own_place is None or self.own_place.yields)
         speeds = torch.full_like(rollout.pose[:, 3], torch.nan)
         for name, goal in goals.items():
             found = [
@@ -424,7 +423,7 @@ class ITRA(nn.Module):
             if not found:
                 raise ValueError(f"a goal is of agent {name}, which the model does not control")
             speeds[found] = torch.nan if goal.speed is None else goal.speed
-            steps[found], yields[found] = 0, True
+            steps[found] = 0
             for k in found if goal.points else ():
                 path = plan_through(rollout.pose[k], goal, dt)
                 more = len(path) - states.shape[1]
@@ -433,9 +432,7 @@ class ITRA(nn.Module):
                 states = states.clone()
                 states[k, : len(path)] = path
                 steps[k] = len(path) - 1
-        return replace(
-            rollout, plan=Plan(states, steps, yields, torch.zeros_like(rank)), speeds=speeds
-        )
+        return replace(rollout, plan=Plan(states, steps, torch.zeros_like(rank)), speeds=speeds)
 
     def _follow(
         self, rollout: Rollout, plan: Plan, action: Float[Tensor, "E 2"]
@@ -469,8 +466,6 @@ class ITRA(nn.Module):
             pose, batch.sizes, curvature, *others[:2], turns, others[2], batch.segments.dt
         )
         lower = torch.minimum(action[:, 0], most / self.motion.scale[0])
-        if plan is not None:
-            lower = torch.where(plan.goes_on & ~plan.yields, action[:, 0], lower)
         limited = torch.stack([lower, action[:, 1]], dim=1)
         return limited, replace(rollout, curvature=curvature)
 

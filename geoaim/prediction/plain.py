@@ -1,8 +1,8 @@
 """Networks that are trained on one place in seconds: from an agent's own past to its futures.
 
-The plain network knows an agent's past and nothing else, neither map nor others nor the place: it
-is a baseline (`sample`). A model that is trained on a place holds one that also knows where in the
-place an agent is, and its first samples follow what that network proposes.
+The plain network knows an agent's past and nothing else, neither map nor others: it is a baseline
+(`sample`). A model that was trained on a place holds one, and half of its samples follow what that
+network proposes for agents where it knows traffic.
 """
 
 import torch
@@ -21,12 +21,11 @@ WIDTH = 128
 KNOT_S = 0.5  # between velocities, which are interpolated
 SPEED_SCALE = 10.0  # m/s
 STEPS, BATCH_SIZE, LEARNING_RATE = 400, 128, 2e-3
-PAST_NOISE_M, PLACE_NOISE_M = 0.03, 2.0  # on positions in training: of the past, and in the place
+PAST_NOISE_M = 0.03  # on observed positions in training
 # in the loss, of the mean error over all proposals, so that none stays unused, and of the error of
 # the first one, which is thus the best single guess
 EVEN_SHARE, FIRST_SHARE = 0.05, 1.0
 CELL_M = 10.0  # side of the cells of a place in which a network knows traffic
-WAVES = 4  # frequencies of a position's encoding
 MIN_SPEED_MPS = 0.5  # slower agents keep their heading
 STANDING_MPS = 0.3  # agents that never were faster in the observed steps stand
 
@@ -38,10 +37,7 @@ class PlainNetwork(nn.Module):
         config: motion, dt and kind of the agents.
         history: observed steps that it reads; missing ones are continued backwards.
         horizon: steps that it proposes.
-        yields: whether those who follow it brake for others, if the model does.
-        cells: (M, 2) numbers of the cells of a place in which it knows traffic; None: it has no
-            place.
-        placed: whether it reads where in its place an agent is.
+        cells: (M, 2) numbers of the cells of a place in which it knows traffic; None: everywhere.
     """
 
     cells: Tensor | None
@@ -52,16 +48,13 @@ class PlainNetwork(nn.Module):
         history: int,
         horizon: int,
         *,
-        yields: bool = True,
         cells: Float[Tensor, "M 2"] | None = None,
-        placed: bool = True,
     ) -> None:
         super().__init__()
-        self.yields, self.placed = yields, placed and cells is not None
         self.dt, self.history, self.horizon = config.dt, history, horizon
         self.knots = 1 + max(1, round(horizon * config.dt / KNOT_S))
         self.register_buffer("cells", cells)
-        inputs = 5 * history + 3 + (4 + 4 * WAVES) * self.placed
+        inputs = 5 * history + 3
         self.propose = build_mlp(inputs, WIDTH, PROPOSALS * self.knots * 2)
         self.score = build_mlp(inputs, WIDTH // 2, PROPOSALS)
 
@@ -125,22 +118,7 @@ class PlainNetwork(nn.Module):
         speed = torch.where(there, past[..., 3], now[:, 3:])
         columns = [position - straight, turn[..., None], speed[..., None] - now[:, None, 3:]]
         numbers = torch.cat([*columns, there[..., None].to(past)], dim=2).flatten(1)
-        encoded = [numbers, now[:, 3:] / SPEED_SCALE, sizes / 5]
-        if self.placed:
-            encoded.append(self._encode_place(now))
-        return torch.cat(encoded, dim=1)
-
-    def _encode_place(self, now: Float[Tensor, "E 4"]) -> Float[Tensor, "E _"]:
-        """Where in the place agents are, and where they head."""
-        assert self.cells is not None
-        middle, spread = self.cells.mean(dim=0), self.cells.std(dim=0).max().clamp_min(1.0)
-        offset = now[:, :2]
-        if self.training:
-            offset = offset + PLACE_NOISE_M * torch.randn_like(offset)
-        place = (offset / CELL_M - middle) / spread
-        waves = [place * 2**k for k in range(WAVES)]
-        angles = torch.cat([now[:, 2:3], *waves], dim=1)
-        return torch.cat([place, angles.sin(), angles.cos()], dim=1)
+        return torch.cat([numbers, now[:, 3:] / SPEED_SCALE, sizes / 5], dim=1)
 
     @torch.no_grad()
     def plan(self, segments: Segments, history: int) -> tuple[Tensor, Bool[Tensor, "B N"]]:
@@ -198,13 +176,7 @@ class PlainNetwork(nn.Module):
 
 
 def train_plain(
-    segments: Segments,
-    config: Config,
-    *,
-    history: int,
-    place: bool = False,
-    placed: bool = True,
-    steps: int = STEPS,
+    segments: Segments, config: Config, *, history: int, place: bool = False, steps: int = STEPS
 ) -> PlainNetwork:
     """Train a network on segments of single agents, in seconds on a CPU.
 
@@ -214,8 +186,7 @@ def train_plain(
         segments: segments with one controlled agent each, which is there at all steps.
         config: motion and dt of the agents.
         history: observed steps.
-        place: whether it is for the place of the segments.
-        placed: whether it then reads where in the place an agent is.
+        place: whether it is for the place of the segments alone.
         steps: steps of the optimiser.
 
     Returns:
@@ -229,8 +200,7 @@ def train_plain(
     generator = torch.Generator().manual_seed(0)
     with torch.random.fork_rng(devices=[]), torch.enable_grad():
         torch.manual_seed(0)
-        given = config, history, segments.steps - history
-        network = PlainNetwork(*given, cells=cells, placed=placed)
+        network = PlainNetwork(config, history, segments.steps - history, cells=cells)
         network.to(states.device)
         optimiser = torch.optim.AdamW(network.parameters(), LEARNING_RATE, weight_decay=0.01)
         schedule = torch.optim.lr_scheduler.OneCycleLR(

@@ -61,13 +61,11 @@ class Plan:
     Attributes:
         states: (E, t, 4) states, the first ones at the last observed step.
         steps: of each agent's plan; 0: it has none.
-        yields: which agents brake for others on the way, if the model does.
         done: steps of the plan that each agent has taken.
     """
 
     states: Float[Tensor, "E t 4"]
     steps: Int[Tensor, "E"]
-    yields: Bool[Tensor, "E"]
     done: Int[Tensor, "E"]
 
     @property

@@ -145,10 +145,8 @@ def train(
 def learn_place(model: ITRA, dataset: Dataset, *, history: int = MAX_HISTORY_STEPS) -> ITRA:
     """Give a model a network of one place, which is trained in seconds.
 
-    minADE in validation decides whether it is kept, whether it reads where in the place agents
-    are, and whether those who follow it brake for others where the model does. Models with
-    trajectory proposals, of several places, and of segments that end with what is observed get
-    none.
+    minADE in validation decides whether it is kept. Models with trajectory proposals, of several
+    places, and of segments that end with what is observed get none.
 
     Args:
         model: a trained model.
@@ -162,17 +160,10 @@ def learn_place(model: ITRA, dataset: Dataset, *, history: int = MAX_HISTORY_STE
     several = len(ground.regions) > 1 or len(train.worlds) > 1
     if model.config.num_anchors or several or train.steps <= history:
         return model
-    best, least = model, _measure_min_ade(model, val, ground, history, 0)
-    for placed in (True, False):
-        network = train_plain(train, model.config, history=history, place=True, placed=placed)
-        for yields in (True, False) if model.config.brakes else (True,):
-            learned = copy.deepcopy(model)
-            learned.own_place = copy.deepcopy(network)
-            learned.own_place.yields = yields
-            error = _measure_min_ade(learned, val, ground, history, 0)
-            if error < least:
-                best, least = learned, error
-    return best
+    learned = copy.deepcopy(model)
+    learned.own_place = train_plain(train, model.config, history=history, place=True)
+    before, after = (_measure_min_ade(one, val, ground, history, 0) for one in (model, learned))
+    return learned if after < before else model
 
 
 def find_best_step(log: Sequence[Mapping[str, float]]) -> int:

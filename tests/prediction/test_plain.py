@@ -14,11 +14,10 @@ from tests.prediction.tiny import TINY, drive, hill
 
 @pytest.fixture(scope="module")
 def networks():
-    """Networks of cars on arcs: of no place, of theirs, and of theirs without reading it."""
+    """Networks that were trained on cars on arcs, for any place and for theirs."""
     segments = drive(steps=30, count=8)
     return [
-        train_plain(segments, TINY, history=10, place=place, placed=placed, steps=60)
-        for place, placed in ((False, False), (True, True), (True, False))
+        train_plain(segments, TINY, history=10, place=place, steps=60) for place in (False, True)
     ]
 
 
@@ -39,28 +38,22 @@ def test_it_learns_a_curve_that_going_straight_misses(networks):
         assert errors.amin(dim=1).mean() < 0.35
 
 
-@pytest.mark.parametrize("placed", [True, False])
-def test_a_model_follows_the_network_of_its_place_and_keeps_it_in_its_file(
-    networks, placed, tmp_path
-):
+def test_half_of_the_samples_follow_the_network_that_the_models_file_keeps(networks, tmp_path):
     model, segments = ITRA(TINY).eval(), drive(steps=30, count=8)
     away = sample(model.sample, segments)
-    network = networks[1 if placed else 2]
-    model.own_place = network
+    model.own_place = networks[1]
     followed = sample(model.sample, segments)
-    planned, _ = network.plan(segments, 10)
-    plans = planned[:, 0].clone()
-    assert (followed[:, :, 0, 10:, :2] - plans[..., :2]).norm(dim=-1).mean() < 0.1
+    planned, _ = networks[1].plan(segments, 10)
+    off = (followed[:, :, 0, 10:, :2] - planned[:, 0, ..., :2]).norm(dim=-1).mean(dim=(0, 2))
+    assert (off[:3] < 0.1).all()
+    assert (off[3:] > 0.1).all()
+    assert torch.equal(followed[:, 3:], away[:, 3:])
     write_model(model, tmp_path / "model.pt")
     again = sample(read_model(tmp_path / "model.pt").sample, segments)
     torch.testing.assert_close(again, followed, atol=0.05, rtol=0)
-    more = sample(model.sample, segments, samples=8)
-    assert not torch.equal(more[:, 7], more[:, 1])
     elsewhere = pick(segments, slice(None))
     elsewhere.states[:, :, :, 0] += 500.0
-    known = network.plan(elsewhere, 10)[1]
-    assert not known.any()
-    assert not torch.equal(away, followed)
+    assert not networks[1].plan(elsewhere, 10)[1].any()
 
 
 def test_the_best_single_guess_comes_first_and_then_the_likeliest(networks):
