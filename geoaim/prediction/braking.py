@@ -19,6 +19,7 @@ CROSSING_TIMES_S = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 CROSSING_MARGIN_S = 0.4  # between one that leaves the place of a crossing and the next one
 ALONG_COSINE = 0.7  # of the angle between those who drive along each other
 MIN_SPEED_MPS = 0.3
+UNKNOWN_COSINE = 0.8  # who stands across more than this may have an unknown heading
 
 
 def limit_acceleration(  # noqa: PLR0913  (agents and others, field by field)
@@ -110,8 +111,9 @@ def _find_leaders(
     along, aside = _project(pose, curvature, others[..., :2])
     turn = others[..., 2] - pose[:, None, 2] - curvature[:, None] * along
     length, width = _measure_extents(turn, sizes)
-    stands = others[..., 3].abs() < MIN_SPEED_MPS  # its heading is often not known
-    width = torch.where(stands, sizes[..., 1], width)
+    stands = others[..., 3].abs() < MIN_SPEED_MPS
+    unknown = stands & (turn.cos().abs() < UNKNOWN_COSINE)
+    width = torch.where(unknown, sizes[..., 1], width)
     gap = along - (size[:, None, 0] + length) / 2
     pace = others[..., 3] * turn.cos()
     touches = aside.abs() < (size[:, None, 1] + width) / 2 + SIDE_MARGIN_M
