@@ -65,7 +65,11 @@ def sample_ground(
     """Sample textures bilinearly at all pixels; each of M maps has V / M consecutive views."""
     height, width = image.shape[-2:]
     scale = image.new_tensor([2 / width, 2 / height])  # grid_sample: -1 to 1
-    maps = len(ground.regions)
+    maps, views = len(ground.regions), len(cameras)
+    still = maps == 1 and views > 1 and not (cameras.requires_grad or image.requires_grad)
+    if still and bool((cameras == cameras[:1]).all()):  # a film of one view
+        one = sample_ground(view, cameras[:1], ground, image)
+        return one.expand(views, -1, -1, -1).contiguous()
     matrices = ground.image_from_world
     if maps > 1:
         matrices = matrices.repeat_interleave(len(cameras) // maps, dim=0)

@@ -23,6 +23,7 @@ LEARNING_FRAMES = 30  # spread over the video, by which the ground's noise and s
 MAX_RESOLUTION = 0.6  # metres per pixel; a car is no longer several pixels wide in coarser frames
 MAX_SMALL_RESOLUTION = 0.1  # metres per pixel up to which people and cyclists are told from noise
 MIN_VEHICLE_M2 = 2.0
+SHAPE_SIGMA_M = 0.1  # of a vehicle's middle, by errors of its shape that last
 MIN_SEEN = 0.5  # of a track's time
 MIN_PATH_M = 1.0  # of what is smaller; such a piece that stays is a blemish of the map
 
@@ -85,17 +86,18 @@ def search_frames(
     return [found.get(index) for index in matrices]
 
 
-def drop_blemishes(tracks: Tracks) -> Tracks:
-    """Drop tracks of what is no vehicle: what is seldom seen, and small pieces that never move.
+def finish_tracks(tracks: Tracks) -> Tracks:
+    """Drop tracks of what is no vehicle, and add the error of shapes to the stated uncertainty.
 
     Neighbours that are now and then found as one would be joined over the times between; a small
-    piece that stays where it is, is a blemish of the map.
+    piece that stays where it is, is a blemish of the map. Rims and shadows last, so that smoothing
+    does not remove them.
 
     Args:
         tracks: of what `find_vehicles` found, with whether each state was seen.
 
     Returns:
-        The others.
+        The tracks of the others.
 
     Raises:
         TracksError: none is left.
@@ -110,8 +112,13 @@ def drop_blemishes(tracks: Tracks) -> Tracks:
             f"{len(kept)} tracks are found, all of small pieces that stay where they are, or of "
             "what is seldom seen; vehicles that move are needed, or boxes (--detections)"
         )
+    uncertainty = tracks.uncertainty
+    if uncertainty is not None:
+        middle = np.hypot(uncertainty[..., :1], SHAPE_SIGMA_M)
+        uncertainty = np.concatenate([middle, uncertainty[..., 1:]], axis=2)
+    present = tracks.present & kept[:, None]
     start, end = float(tracks.times[0]), float(tracks.times[-1])
-    return cut_tracks(replace(tracks, present=tracks.present & kept[:, None]), start, end - start)
+    return cut_tracks(replace(tracks, present=present, uncertainty=uncertainty), start, end - start)
 
 
 def _learn(

@@ -20,7 +20,7 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.tracking.association import MIN_HITS, MIN_START_SCORE, Tracklets, associate
 from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_boxes
-from geoaim.tracking.find_vehicles import drop_blemishes, search_frames
+from geoaim.tracking.find_vehicles import finish_tracks, search_frames
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_detections import GroundDetections, place_boxes, select_detections
 from geoaim.tracking.scale import check_scale
@@ -75,7 +75,7 @@ def track_video(
     times = find_image_times(opened, poses.registration.index, poses.times)
     tracks = track_boxes(known, poses.world_from_frame, times, aim.world, size, lanes=lanes)
     if detections is None:
-        tracks = drop_blemishes(tracks)
+        tracks = finish_tracks(tracks)
         check_scale(tracks, aim)
     return tracks
 

@@ -17,7 +17,7 @@ from geoaim.base.world import World
 from geoaim.cli import app
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.background_difference import UNIT, find_foreground, learn_ground
-from geoaim.tracking.find_vehicles import drop_blemishes, search_frames
+from geoaim.tracking.find_vehicles import finish_tracks, search_frames
 from geoaim.tracking.frame_poses import locate_frames
 from geoaim.tracking.vehicle_shapes import find_shapes
 from geoaim.tracks.tracks import Tracks
@@ -101,6 +101,7 @@ def make_tracks(paths, sizes, seen):
         types=("",) * len(paths),
         ids=tuple("abcdef"[: len(paths)]),
         world=World(None),
+        uncertainty=np.full((*states.shape[:2], 2), 0.05),
         seen=np.arange(20) < 20 * np.array(seen)[:, None],
     )
 
@@ -108,9 +109,11 @@ def make_tracks(paths, sizes, seen):
 def test_small_pieces_that_stay_and_what_is_seldom_seen_are_no_vehicles():
     car, person, piece = (4.5, 1.8), (0.6, 0.6), (1.5, 0.6)
     tracks = make_tracks([0, 9, 3, 0.2], [car, car, person, piece], [1.0, 0.3, 1.0, 1.0])
-    assert drop_blemishes(tracks).ids == ("a", "c")
+    finished = finish_tracks(tracks)
+    assert finished.ids == ("a", "c")
+    np.testing.assert_allclose(finished.uncertainty[..., 0], np.hypot(0.05, 0.1))
     with pytest.raises(TracksError, match="1 tracks are found, all of small pieces"):
-        drop_blemishes(make_tracks([0], [piece], [1.0]))
+        finish_tracks(make_tracks([0], [piece], [1.0]))
 
 
 def draw_traffic(count, standing_until):
