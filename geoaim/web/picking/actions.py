@@ -154,7 +154,7 @@ def _delete(session: PickingSession, action: Action) -> Outcome:
 
 
 def _state_accuracy(session: PickingSession, action: Action) -> Outcome:
-    metres = action.get("m")
+    metres: Any = action.get("m")
     if type(metres) not in (int, float) or not 0 <= metres < MAX_NUMBER:
         raise ValueError(f"accuracy {str(metres)[:40]!r}: metres, 0 or more, are needed")
     return state_accuracy(session, float(metres)), {}

@@ -70,7 +70,9 @@ def test_a_stated_accuracy_is_saved_and_read_again(task):
     session, again = run(open_session(task), {"action": "state"})
     assert again["accuracy"] == 1.5
     for wrong in (-1, None, "1", float("nan")):
-        assert "metres, 0 or more" in handle(session, {"action": "accuracy", "m": wrong})[1]["error"]
+        assert (
+            "metres, 0 or more" in handle(session, {"action": "accuracy", "m": wrong})[1]["error"]
+        )
 
 
 def add(index):
