@@ -6,6 +6,7 @@ An action is {"action": NAME, ...}:
 - "add" with what is known: u and v (pixel), x and y or lon and lat (place; with "side": "imagery" u
   and v are a pixel of the imagery), and a name; "move" is the same with the id of a point;
 - "rename" (id, name), "delete" (id), "undo", "redo";
+- "accuracy" (m) states how far off the places may be, one sigma;
 - "snap" (u, v, side "frame" or "imagery", radius) tells the corner beside a click in "snapped";
 - "accept" (candidate: its index) makes a proposed pair a point; `PairSearch` proposes them;
 - "export" (format "csv", "txt" or "points") gives the "text" of a file to save.
@@ -38,6 +39,7 @@ from geoaim.web.picking.session import (
     choose_name,
     collect_points,
     redo,
+    state_accuracy,
     undo,
 )
 from geoaim.web.picking.snap import SNAP_RADIUS_PX, snap_to_corner
@@ -151,6 +153,13 @@ def _delete(session: PickingSession, action: Action) -> Outcome:
     return change_points(session, [other for other in session.points if other is not point]), {}
 
 
+def _state_accuracy(session: PickingSession, action: Action) -> Outcome:
+    metres: Any = action.get("m")
+    if type(metres) not in (int, float) or not 0 <= metres < MAX_NUMBER:
+        raise ValueError(f"accuracy {str(metres)[:40]!r}: metres, 0 or more, are needed")
+    return state_accuracy(session, float(metres)), {}
+
+
 def _snap(session: PickingSession, action: Action) -> Outcome:
     image = session.task.frame
     if action.get("side") == "imagery":
@@ -200,6 +209,7 @@ ACTIONS: Mapping[str, Callable[[PickingSession, Action], Outcome]] = {
     "delete": _delete,
     "undo": lambda session, action: (undo(session), {}),
     "redo": lambda session, action: (redo(session), {}),
+    "accuracy": _state_accuracy,
     "snap": _snap,
     "accept": _accept,
     "export": _export,

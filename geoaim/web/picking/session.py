@@ -38,11 +38,13 @@ class PickingTask:
     path: Path | None = None  # the .csv that is written after each change
     # rough georeference of the frame, as by telemetry, in the imagery's world
     rough: Georeference | None = None
+    stated_accuracy: float = 0.0  # one sigma of the places, metres, as stated
 
     @property
     def accuracy(self) -> float:
-        """One sigma of the places, metres: a pixel of the imagery they are picked on."""
-        return 0.0 if self.imagery is None else self.imagery.resolution
+        """One sigma of the places, metres: at least a pixel of imagery they are picked on."""
+        pixel = 0.0 if self.imagery is None else self.imagery.resolution
+        return max(self.stated_accuracy, pixel)
 
     @property
     def shared_covariance(self) -> Float[Array, "2 2"] | None:
@@ -123,7 +125,8 @@ def open_session(task: PickingTask) -> PickingSession:
     if task.path.suffix == ".csv" and not read_point_file(task.path):
         return PickingSession(task, saved=content)
     saved = read_control_points(task.path, keep_incomplete=True)
-    session = PickingSession(replace(task, crs=saved.crs), _list_points(saved), saved=content)
+    task = replace(task, crs=saved.crs, stated_accuracy=saved.accuracy)
+    session = PickingSession(task, _list_points(saved), saved=content)
     _warn_of_other_place(session)
     return session
 
@@ -149,6 +152,11 @@ def change_points(session: PickingSession, points: Sequence[PickedPoint]) -> Pic
     """Replace the points, remember the old ones for undo, and save."""
     past = (*session.past, session.points)
     return save_points(replace(session, points=tuple(points), past=past, future=()))
+
+
+def state_accuracy(session: PickingSession, accuracy: float) -> PickingSession:
+    """State one sigma of all places, metres, and save."""
+    return save_points(replace(session, task=replace(session.task, stated_accuracy=accuracy)))
 
 
 def undo(session: PickingSession) -> PickingSession:

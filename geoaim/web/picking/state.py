@@ -55,6 +55,7 @@ def describe_session(session: PickingSession) -> dict[str, Any]:
         "candidates": _describe_candidates(session),
         "disagreeing": _find_disagreeing(session),
         "crs": task.crs,
+        "accuracy": task.accuracy,
         "can_undo": bool(session.past),
         "can_redo": bool(session.future),
         "saved": None if task.path is None else task.path.name,

@@ -126,6 +126,9 @@ export async function showPicking(element, description, transport, { keys = elem
     bar.append(make("label", {}, "frame over imagery ", slider), make("label", {}, "turn imagery ", turn));
   }
   bar.append(makeCheckbox("snap clicks to corners", true, (on) => (snapping = on)));
+  const accuracy = make("input", { type: "number", min: 0, step: "any", title: "one standard deviation of the coordinates" });
+  accuracy.addEventListener("change", () => ask({ action: "accuracy", m: Number(accuracy.value) }));
+  bar.append(make("label", {}, "points' accuracy, m ", accuracy));
   button("Fit", "show the whole pictures", () => [app.frame, app.imagery].forEach((map) => map?.fit()));
   bar.append(make("span", {}, "save as"));
   for (const [kind, name] of Object.entries(EXPORTS)) {
@@ -249,6 +252,7 @@ export async function showPicking(element, description, transport, { keys = elem
     const titles = ["name", "u", "v", x, y, "residual, m", "px", "leave-one-out, m", ""];
     const head = make("tr", {}, ...titles.map((title) => make("th", {}, title)));
     table.replaceChildren(head, ...points.map((point) => makeRow(point, residuals.get(point.name), kindOf(point))));
+    accuracy.value = Number(state.accuracy.toPrecision(3));
     undo.disabled = !state.can_undo;
     redo.disabled = !state.can_redo;
     message.textContent = describe(state);

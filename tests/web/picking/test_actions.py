@@ -62,6 +62,19 @@ def test_points_on_coarse_imagery_are_saved_with_its_accuracy(task):
     assert "# accuracy: 0.4\n" in task.path.read_text()
 
 
+def test_a_stated_accuracy_is_saved_and_read_again(task):
+    given = {"action": "accuracy", "m": 1.5}
+    _, reply = run(open_session(task), {"action": "add", "u": 10.0, "v": 10.0}, given)
+    assert reply["accuracy"] == 1.5
+    assert "# accuracy: 1.5\n" in task.path.read_text()
+    session, again = run(open_session(task), {"action": "state"})
+    assert again["accuracy"] == 1.5
+    for wrong in (-1, None, "1", float("nan")):
+        assert (
+            "metres, 0 or more" in handle(session, {"action": "accuracy", "m": wrong})[1]["error"]
+        )
+
+
 def add(index):
     (u, v), (lon, lat) = GCPS.pixels[index].tolist(), GCPS.coordinates[index].tolist()
     return {"action": "add", "u": u, "v": v, "lon": lon, "lat": lat, "name": GCPS.names[index]}
