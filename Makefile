@@ -1,4 +1,4 @@
-# make demo       an AIM from the bundled sample video, and what may happen on it
+# make demo       map and tracks of the bundled sample video, and what may happen there
 # make notebook   the notebooks, in JupyterLab
 # make test       lint, format, types, layers, and the tests, in a few minutes
 # make test-slow  what takes longer, shapes checked: kills, damage, benchmarks, documentation, notebooks
@@ -37,20 +37,21 @@ unexport PYTHONDONTWRITEBYTECODE  # processes of tests would compile all again
 .PHONY: bench demo notebook test test-slow test-lowest check tests changed lint ruff mypy layers docs coverage install clean
 
 demo: .venv/usable
-	$(BIN)/geoaim build $(SAMPLE) --gcps $(POINTS) -o demo/aim.tif
-	$(BIN)/geoaim render demo/aim.tif --tracks samples/tracks.csv --ego 9 --size 384 --trail 2 \
+	rm -rf demo/junction
+	$(BIN)/geoaim place $(SAMPLE) --points $(POINTS) -o demo/junction
+	$(BIN)/geoaim predict demo/junction --hdmap samples/map.osm -o demo/futures.png
+	$(BIN)/geoaim render demo/junction/map.tif --tracks samples/tracks.csv --ego 9 --size 384 --trail 2 \
 		--lights samples/lights.csv --hdmap samples/map.osm -o demo/view.gif
-	$(BIN)/geoaim predict demo/aim.tif --tracks samples/tracks.csv --at 9 \
-		--lights samples/lights.csv --hdmap samples/map.osm -o demo/futures.png
 	@echo
-	@echo "Open demo/aim.tif      the map, in QGIS or any other GIS program"
-	@echo "     demo/aim.png      a quick look: background, control points, drift, coverage"
-	@echo "     demo/view.gif     the view of one car of the sample, on the map"
-	@echo "     demo/futures.png  what the vehicles may do in the next four seconds"
+	@echo "Open demo/junction/map.tif   the map, in QGIS or any other GIS program"
+	@echo "     demo/junction/map.png   a quick look: background, control points, drift, coverage"
+	@echo "     demo/junction/film.mp4  the vehicles that were found, on the map"
+	@echo "     demo/futures.png        what they may do in the next four seconds"
+	@echo "     demo/view.gif           the view of one car of the recorded traffic"
 	@echo
 	@echo "Go on with:"
 	@echo "     source $(BIN)/activate"
-	@echo "     geoaim view demo/aim.tif --tracks samples/tracks.csv --hdmap samples/map.osm --lights samples/lights.csv"
+	@echo "     geoaim view demo/junction"
 	@echo "     make notebook"
 
 notebook: .venv/jupyterlab

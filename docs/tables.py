@@ -249,6 +249,14 @@ def write_pipeline(results: Row) -> str:
     return write_table(["pipeline", "frames/s", "of decoding alone"], rows)
 
 
+def write_without_detector(results: Row) -> str:
+    """What the videos are judged by: agents that are found, and what is stated of them."""
+    keys = ["video", "moving recall", "standing recall", "precision", "IDF1", "HOTA"]
+    keys += ["position m", "position m 90 %", "length m", "width m", "heading moving °"]
+    keys += ["in position's 95 % region", "in heading's 95 % range", "proposed scale / true"]
+    return write_rows([{key: row[key] for key in keys} for row in results["rows"]])
+
+
 def write_birdview(results: Row) -> str:
     """Time of a batch, and errors of each method against the truth."""
     parts = [
@@ -286,6 +294,7 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "pipeline": write_pipeline,
     "length": lambda results: write_rows(results["lengths"]),
     "birdview": write_birdview,
+    "without_detector": write_without_detector,
     "georeference": write_georeference,
     "georeference_sizes": write_sizes,
     "registration_sizes": write_sizes,

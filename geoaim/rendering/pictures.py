@@ -86,7 +86,7 @@ def render_map_video(
 
 def convert_to_uint8(pictures: Float[Tensor, "B 3 H W"]) -> UInt8[Array, "B H W 3"]:
     """Convert rendered pictures, 0 to 1, to 8-bit images."""
-    pixels = (pictures.clamp(0, 1) * 255).round().to(torch.uint8)
+    pixels = (pictures.clamp(0, 1).mul_(255)).round_().to(torch.uint8)
     return np.ascontiguousarray(pixels.permute(0, 2, 3, 1).cpu().numpy())
 
 

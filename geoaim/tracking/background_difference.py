@@ -12,7 +12,7 @@ from geoaim.base.errors import TracksError
 
 NOISE_FACTOR = 2.5  # standard deviations of a cell's noise that are no difference
 MIN_DIFFERENCE = 9.0  # grey levels
-GAIN_STEP = 37  # every which cell is compared for the gain
+GAIN_STEP = 101  # every which cell is compared for the gain
 LEVELS = (1, 2, 3, 4, 6, 8, 10, 13)  # grey levels at which the differences of a cell are counted
 UNIT = 64  # of a difference as large as the tolerance
 MIN_STANDING = 0.2  # share of the frames in which a cell looks different, but alike
@@ -48,7 +48,9 @@ def match_gain(
     frame: UInt8[Array, "H W 3"], image: UInt8[Array, "H W 3"], known: Bool[Array, "H W"]
 ) -> UInt8[Array, "H W 3"]:
     """Bring a frame to the ground's exposure, by a gain and an offset for each channel."""
-    rows = np.flatnonzero(known)[::GAIN_STEP]
+    rows = GAIN_STEP * np.flatnonzero(known.ravel()[::GAIN_STEP])
+    if not len(rows):
+        return frame
     one, other = (picture.reshape(-1, 3)[rows].astype(np.float32) for picture in (frame, image))
     table = np.empty((256, 1, 3), np.uint8)
     for channel in range(3):
@@ -248,9 +250,17 @@ def _sweep(mask: UInt8[Array, "H W"], step: Float[Array, "2"], reach: float) -> 
     swept, done = mask, 0.0
     while done < reach:
         length = min(max(done, 1.0), reach - done)
-        matrix = np.array([[1.0, 0.0, step[0] * length], [0.0, 1.0, step[1] * length]])
-        moved = cv2.warpAffine(swept, matrix, mask.shape[::-1], flags=cv2.INTER_NEAREST)
-        swept, done = np.asarray(cv2.max(swept, moved), np.uint8), done + length
+        right, down = np.rint(step * length).astype(int).tolist()
+        columns, rows = (
+            (
+                slice(max(shift, 0), count + min(shift, 0)),
+                slice(max(-shift, 0), count - max(shift, 0)),
+            )
+            for shift, count in ((right, mask.shape[1]), (down, mask.shape[0]))
+        )
+        moved = swept.copy()
+        moved[rows[0], columns[0]] |= swept[rows[1], columns[1]]
+        swept, done = moved, done + length
     return swept
 
 
