@@ -263,6 +263,7 @@ def test_boxes_are_not_asked_of_who_gave_them(has_boxes, advice, unchecked):
     registration = SimpleNamespace(
         valid=np.ones(2, bool),
         uncertainty=np.zeros(2),
+        time=np.zeros(2),
         reference_from_frame=np.tile(np.eye(3), (2, 1, 1)),
         reference=SimpleNamespace(index=0, time=0.0, **size),
     )

@@ -45,7 +45,7 @@ Stack = UInt8[Array, "K h w 3"]  # small frames
 Image = UInt8[Array, "h w 3"]
 Masks = Bool[Array, "K h w"]
 Pixels = Int[Array, "2 m"]  # rows and columns
-Votes = list[tuple[Int[Array, " m"], Float32[Array, " m"]]]  # of each frame: flat pixels, votes
+Votes = list[tuple[Int[Array, "_"], Float32[Array, "_"]]]  # of each frame: flat pixels, votes
 
 MIN_FRAMES = 4  # with fewer frames, a majority may be chance
 # of the background; where queues stood, 15.6 grey levels, 16.2 with one and 15.5 with three
