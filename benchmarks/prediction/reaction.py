@@ -329,7 +329,9 @@ def _sum_rows(name: str, found: Sequence[Mapping[str, Any]]) -> list[Row]:
         ]:
             sums, counts = np.sum([one[key] for one in some if key in one], axis=0)
             row[key] = round(float(sums) / float(counts), 3)
-        row["vehicles"] = int(sum(one["ever collide, %"][1] for one in some if len(one) > 2))
+        row["vehicles"] = int(
+            sum(one["ever collide, %"][1] for one in some if "metres of each" in one)
+        )
         rows.append(row)
     return rows
 

@@ -66,8 +66,8 @@ def sample_ground(
     height, width = image.shape[-2:]
     scale = image.new_tensor([2 / width, 2 / height])  # grid_sample: -1 to 1
     maps, views = len(ground.regions), len(cameras)
-    still = maps == 1 and views > 1 and not (cameras.requires_grad or image.requires_grad)
-    if still and bool((cameras == cameras[:1]).all()):  # a film of one view
+    gradients = cameras.requires_grad or image.requires_grad
+    if maps == 1 and views > 1 and cameras.stride(0) == 0 and not gradients:  # one, expanded
         one = sample_ground(view, cameras[:1], ground, image)
         return one.expand(views, -1, -1, -1).contiguous()
     matrices = ground.image_from_world

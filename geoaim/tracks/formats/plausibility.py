@@ -88,7 +88,7 @@ def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> 
     wrong_headings, wrong_speeds = turned.mean() > MOST_TURNED, wrong.mean() > MOST
     if not (wrong_headings or wrong_speeds):
         return tracks
-    if wrong_headings and _is_mirrored(velocity[moving], tracks.states[moving, 2]):
+    if wrong_headings and _detect_mirroring(velocity[moving], tracks.states[moving, 2]):
         raise TracksError(
             f"{Path(path)}: {turned.sum()} agents do not move where they head: positions are a "
             "mirror image of the headings. Are x and y swapped, or does y count downwards?"
@@ -105,7 +105,7 @@ def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> 
     return derive(tracks, half_window=HALF_WINDOW_S)
 
 
-def _is_mirrored(velocity: Float[Array, "n 2"], heading: Float[Array, "n"]) -> bool:
+def _detect_mirroring(velocity: Float[Array, "n 2"], heading: Float[Array, "n"]) -> bool:
     """Whether headings turn one way where the motion turns the other."""
     direction = np.arctan2(velocity[:, 1], velocity[:, 0])
     sums, differences = (abs(np.exp(1j * (direction + sign * heading)).mean()) for sign in (1, -1))
