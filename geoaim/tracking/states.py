@@ -7,9 +7,9 @@ from numpy import ndarray as Array
 from geoaim.base.world import World
 from geoaim.tracking.association import CUT_SIGMA_M, MIN_HITS, Tracklets
 from geoaim.tracking.cut_boxes import complete_cut_boxes
-from geoaim.tracking.ground_detections import GroundDetections
+from geoaim.tracking.ground_detections import GroundDetections, select_detections
 from geoaim.tracking.headings import REAR_AXLE_SHARE
-from geoaim.tracking.joining import join_tracks
+from geoaim.tracking.joining import find_false_ends, join_tracks
 from geoaim.tracking.kalman import TrackMotion, TrackRows, filter_tracks, make_rows, smooth_tracks
 from geoaim.tracking.noise import estimate_lasting_noise, estimate_noise
 from geoaim.tracking.poses import Poses, compute_poses, find_standing, observe_states
@@ -54,7 +54,7 @@ def make_states(
     Returns:
         The tracks, from each agent's first detection to its last.
     """
-    rows, track, observed = _observe(detections, tracklets, times, lanes)
+    detections, rows, track, observed = _observe(detections, tracklets, times, lanes)
     at = np.empty(len(track), int)  # the row of each detection
     at[rows.detection[rows.detection >= 0]] = np.flatnonzero(rows.detection >= 0)
     noise = estimate_noise(detections, track, times)
@@ -100,10 +100,11 @@ def _observe(
     tracklets: Tracklets,
     times: Float[Array, "T"],
     lanes: Directions | None,
-) -> tuple[TrackRows, Int[Array, "M"], Float[Array, "S 4"]]:
+) -> tuple[GroundDetections, TrackRows, Int[Array, "m"], Float[Array, "S 4"]]:
     """What was known as the frames came, in rows of joined tracks, with each detection's agent.
 
     From a track's confirmation on, its type, size and first heading stay those of its first boxes.
+    False boxes where tracks are joined are left out.
     """
     rows = make_rows(tracklets.track, detections.step)
     seen = _list_detections(rows)
@@ -125,12 +126,19 @@ def _observe(
     observed[rows.step < tracklets.confirmed[rows.agent]] = np.nan
     smoothed = smooth_tracks(times, rows, filtered, noise)
     types = _describe_agents(detections, seen).types
-    agent = join_tracks(smoothed, rows, types, detections, times)
+    false = find_false_ends(smoothed, rows, detections, tracklets.sigma, times)
+    agent = join_tracks(smoothed, rows, types, detections, times, false)
     joined = make_rows(agent[tracklets.track], detections.step)
     placed = np.full((len(joined.step), 4), np.nan)
     start = joined.bounds[agent[rows.agent]]
-    placed[start + rows.step - joined.step[start]] = observed
-    return joined, agent[tracklets.track], placed
+    known = np.isfinite(observed[:, 0])
+    placed[(start + rows.step - joined.step[start])[known]] = observed[known]
+    # an agent's own first and last detection stay: what comes after might tell that they are right
+    false[joined.detection[np.concatenate([joined.bounds[:-1], joined.bounds[1:] - 1])]] = False
+    kept = np.flatnonzero(~false)
+    agent = agent[tracklets.track[kept]]
+    detections = select_detections(detections, kept)
+    return detections, make_rows(agent, detections.step), agent, placed
 
 
 def _list_detections(rows: TrackRows) -> list[Int[Array, "_"]]:
