@@ -1,5 +1,7 @@
 """States of agents: associated detections -> smoothed and observed states, sizes and types."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
@@ -7,7 +9,7 @@ from numpy import ndarray as Array
 from geoaim.base.world import World
 from geoaim.tracking.association import CUT_SIGMA_M, MIN_HITS, Tracklets
 from geoaim.tracking.cut_boxes import complete_cut_boxes
-from geoaim.tracking.ground_detections import GroundDetections, select_detections
+from geoaim.tracking.ground_detections import GroundDetections
 from geoaim.tracking.headings import REAR_AXLE_SHARE
 from geoaim.tracking.joining import find_false_ends, join_tracks
 from geoaim.tracking.kalman import TrackMotion, TrackRows, filter_tracks, make_rows, smooth_tracks
@@ -26,6 +28,7 @@ from geoaim.tracks.tracks import Tracks
 
 MIN_WHOLE_BOXES = 5  # that tell a size; fewer may be of something else
 MAX_TURN_SINE = 0.2  # of agents whose extents tell errors of boxes
+ENOUGH_BOXES = 100_000  # that tell them
 LASTING_TURN = 0.6  # share of a lasting error that changes while the rear axle is pulled along
 COMPLETED_SIGMA_M = 0.2  # of one that has been completed by the agent's size
 
@@ -54,24 +57,24 @@ def make_states(
     Returns:
         The tracks, from each agent's first detection to its last.
     """
-    detections, rows, track, observed = _observe(detections, tracklets, times, lanes)
-    at = np.empty(len(track), int)  # the row of each detection
+    rows, track, observed = _observe(detections, tracklets, times, lanes)
+    at = np.zeros(len(track), int)  # the row of each detection; any of one that is left out
     at[rows.detection[rows.detection >= 0]] = np.flatnonzero(rows.detection >= 0)
     noise = estimate_noise(detections, track, times)
     sigma = noise * detections.resolution
     cut = detections.may_be_cut
     seen = _list_detections(rows)
     agents = _describe_agents(detections, seen)
-    first = np.where(cut, CUT_SIGMA_M, sigma)
-    smoothed = _smooth(detections.position, first, rows, times, agents)
+    smoothed = _smooth(detections.position, np.where(cut, CUT_SIGMA_M, sigma), rows, times, agents)
     heading = compute_poses(smoothed, rows, agents, detections, None).states[at, 2]
     agents = _describe_agents(detections, seen, heading - detections.axis)
     agents, size_sigma = _estimate_sizes(agents, heading, detections, seen, sigma)
     heading = compute_poses(smoothed, rows, agents, detections, lanes).states[at, 2]
     position = complete_cut_boxes(detections, track, heading, agents.sizes)
-    second = np.where(cut, np.hypot(COMPLETED_SIGMA_M, sigma), sigma)
-    del smoothed  # what long videos would fill the memory with
-    again = _smooth(position, second, rows, times, agents)
+    sigma = np.where(cut, np.hypot(COMPLETED_SIGMA_M, sigma), sigma)
+    del smoothed, heading  # what long videos would fill the memory with
+    again = _smooth(position, sigma, rows, times, agents)
+    del position, sigma
     poses = compute_poses(again, rows, agents, detections, lanes)
     del again
     lasting = _measure_lasting(detections, agents.sizes[track], poses.states[at, 2], noise)
@@ -100,11 +103,11 @@ def _observe(
     tracklets: Tracklets,
     times: Float[Array, "T"],
     lanes: Directions | None,
-) -> tuple[GroundDetections, TrackRows, Int[Array, "m"], Float[Array, "S 4"]]:
+) -> tuple[TrackRows, Int[Array, "M"], Float[Array, "S 4"]]:
     """What was known as the frames came, in rows of joined tracks, with each detection's agent.
 
     From a track's confirmation on, its type, size and first heading stay those of its first boxes.
-    False boxes where tracks are joined are left out.
+    False boxes where tracks are joined belong to none, -1.
     """
     rows = make_rows(tracklets.track, detections.step)
     seen = _list_detections(rows)
@@ -135,10 +138,9 @@ def _observe(
     placed[(start + rows.step - joined.step[start])[known]] = observed[known]
     # an agent's own first and last detection stay: what comes after might tell that they are right
     false[joined.detection[np.concatenate([joined.bounds[:-1], joined.bounds[1:] - 1])]] = False
-    kept = np.flatnonzero(~false)
-    agent = agent[tracklets.track[kept]]
-    detections = select_detections(detections, kept)
-    return detections, make_rows(agent, detections.step), agent, placed
+    used = np.where((joined.detection >= 0) & ~false[joined.detection], joined.detection, -1)
+    track = np.where(false, -1, agent[tracklets.track])
+    return replace(joined, detection=used), track, placed
 
 
 def _list_detections(rows: TrackRows) -> list[Int[Array, "_"]]:
@@ -205,15 +207,16 @@ def _measure_lasting(
     noise: float,
 ) -> Float[Array, "M"]:
     """Measure errors of the middles that last, by how extents scatter about what they should be."""
-    turn = headings - detections.axis
+    whole = np.flatnonzero(~detections.may_be_cut)
+    whole = whole[:: len(whole) // ENOUGH_BOXES + 1]
+    turn = headings[whole] - detections.axis[whole]
     cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-    length, width = sizes.T
+    length, width = sizes[whole].T
     should = np.column_stack([cosine * length + sine * width, sine * length + cosine * width])
     # of a turned agent the extents scatter by its heading too
-    usable = ~detections.may_be_cut & (np.minimum(cosine, sine) < MAX_TURN_SINE)
-    lasting = estimate_lasting_noise(
-        (detections.extent - should)[usable], detections.resolution[usable], noise
-    )
+    straight = np.minimum(cosine, sine) < MAX_TURN_SINE
+    residual = (detections.extent[whole] - should)[straight]
+    lasting = estimate_lasting_noise(residual, detections.resolution[whole[straight]], noise)
     return lasting * detections.resolution
 
 
