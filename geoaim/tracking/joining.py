@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from geoaim.tracking.association import MIN_HITS, find_max_gap
-from geoaim.tracking.ground_detections import GroundDetections
+from geoaim.tracking.ground_detections import GroundDetections, select_detections
 from geoaim.tracking.kalman import TrackMotion, TrackRows, predict
 from geoaim.tracking.noise import SLOW_DT
 from geoaim.tracks.agent_types import find_group
@@ -112,9 +112,10 @@ def join_tracks(
     groups = np.array([find_group(kind) for kind in types])
     cost += change + TYPE_COST * (kinds[early] != kinds[late])
     cost += GROUP_COST * (groups[early] != groups[late])
-    outward = detections.find_outward()
-    left = (motion.mean[ends, 1] * outward[rows.detection[ends]]).sum(axis=1) > STANDING_SPEED
-    came = (motion.mean[starts, 1] * outward[rows.detection[starts]]).sum(axis=1) < -STANDING_SPEED
+    edges = [select_detections(detections, rows.detection[part]) for part in (ends, starts)]
+    outward = [part.find_outward() for part in edges]
+    left = (motion.mean[ends, 1] * outward[0]).sum(axis=1) > STANDING_SPEED
+    came = (motion.mean[starts, 1] * outward[1]).sum(axis=1) < -STANDING_SPEED
     cost -= UNJOINED_COST - BORDER_GAIN * left - BORDER_GAIN * came
     good = (cost < 0) & (distance < MAX_DISTANCE)
     return _number(*_assign(early[good], late[good], cost[good]), count)
