@@ -31,6 +31,7 @@ CONDITIONS = {
     "lost for 4 s": (DetectorErrors(lost_s=4.0), 1),
     "2 frames per second": (DetectorErrors(), 12),
     "errors that last": (DetectorErrors(noise_px=1.0, lasting_px=3.0), 1),
+    "roofs, from 100 m": (DetectorErrors(flying_height=100.0), 1),
     "all, 5 frames per second": (
         replace(BURSTS, false=0.15, noise_px=3.0, doubled=0.3, lost_s=4.0),
         5,
