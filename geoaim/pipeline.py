@@ -6,6 +6,7 @@ The order: the map (`geoaim.mapping`), its scale and place (`geoaim.tracking.sca
 
 import json
 import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,8 +19,10 @@ from geoaim.aim.files import write_aim
 from geoaim.aim.quicklook import draw_quicklook
 from geoaim.aim.rectification import rectify
 from geoaim.base.errors import GeoreferenceError, RegistrationError, TracksError, VideoError
-from geoaim.base.files import MAP_FILE, TRACKS_FILE, atomic_folder, write_figure
+from geoaim.base.files import MAP_FILE, ROAD_FILES, TRACKS_FILE, atomic_folder, write_figure
 from geoaim.base.progress import Progress, notebook_progress, report_each
+from geoaim.base.world import World
+from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.imagery.alignment.placing import place_by_imagery
 from geoaim.imagery.sources import Source
 from geoaim.mapping.georeference.control_points import ControlPointSource
@@ -36,6 +39,7 @@ from geoaim.tracking.scale import SIGMA, propose_scale
 from geoaim.tracks.agent_types import select_group
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.files import write_tracks
+from geoaim.tracks.lights import Lights, read_lights, read_stop_lines
 from geoaim.tracks.tracks import Tracks
 
 LOOK_FILE, FILM_FILE, REPORT_FILE = "map.png", "film.mp4", "report.json"
@@ -73,6 +77,10 @@ class Evidence:
         imagery_accuracy: standard deviation of the imagery's own place, metres.
         detections: boxes of vehicles, as `read_detections` reads them.
         frame_resolution: metres per pixel of the frames.
+        lights: states of traffic lights, as `read_lights` reads them, from the video's start on.
+        hdmap: a lanelet2 map of the place, which has the lights' stop lines, and the lanes of
+            vehicles that never move.
+        stop_lines: stop lines drawn by hand, in place of those of `hdmap`.
     """
 
     points: ControlPointSource | None = None
@@ -81,6 +89,9 @@ class Evidence:
     imagery_accuracy: float = 0.0
     detections: DetectionSource | None = None
     frame_resolution: float | None = None
+    lights: str | os.PathLike[str] | None = None
+    hdmap: str | os.PathLike[str] | None = None
+    stop_lines: str | os.PathLike[str] | None = None
 
 
 def place_video(
@@ -97,7 +108,8 @@ def place_video(
 
     Args:
         video: what `open_video` opens.
-        folder: a new folder for map.tif, map.png, tracks.csv, film.mp4 and report.json.
+        folder: a new folder for map.tif, map.png, tracks.csv, film.mp4 and report.json, and for
+            what is known of lights and roads.
         evidence: what is known beside the frames; None: nothing.
         progress: called with the stage, how much is done and how much there is.
 
@@ -120,17 +132,25 @@ def place_video(
         aim = _build(opened, evidence, progress)
         write_aim(aim, temporary / MAP_FILE)
         write_figure(draw_quicklook(aim), temporary / LOOK_FILE)
-        tracks, reason = _track(opened, aim, evidence, progress)
+        hdmap, lights = _copy_roads(evidence, aim.world, temporary)
+        tracks, reason = _track(opened, aim, evidence, hdmap, progress)
         if tracks is not None:
             write_tracks(tracks, temporary / TRACKS_FILE)
-            _film(aim, tracks, temporary / FILM_FILE, progress)
+            _film(aim, tracks, lights, temporary / FILM_FILE, progress)
         placed = _report(aim, tracks, evidence, reason)
+        if lights is not None:
+            placed.known.update({f"lights: {k}": v for k, v in lights.summarize().items()})
         text = json.dumps({"known": placed.known, "missing": placed.missing}, indent=1)
         (temporary / REPORT_FILE).write_text(text + "\n", encoding="utf-8")
     return placed
 
 
 def _check(evidence: Evidence, video: Video) -> None:
+    places = evidence.hdmap, evidence.stop_lines
+    if evidence.lights is not None and places == (None, None):
+        raise ValueError("lights need an HD map or stop lines, for their places")
+    if evidence.stop_lines is not None and evidence.lights is None:
+        raise ValueError("stop lines need lights, for their states")
     if evidence.imagery is None:
         if evidence.near is not None or evidence.imagery_accuracy:
             raise ValueError("near and imagery_accuracy need imagery, which places the map")
@@ -184,24 +204,41 @@ def _scale(video: Video, aim: AIM, progress: Progress) -> AIM:
     return replace(aim, world_from_image=place.world_from_image, report=report)
 
 
+def _copy_roads(
+    evidence: Evidence, world: World, folder: Path
+) -> tuple[HDMap | None, Lights | None]:
+    """Read lights and roads in the map's world, and copy their files for other commands."""
+    hdmap = None if evidence.hdmap is None else read_hdmap(evidence.hdmap, world)
+    lights = None
+    if evidence.lights is not None:
+        lines = () if hdmap is None else hdmap.stop_lines
+        if evidence.stop_lines is not None:
+            lines = read_stop_lines(evidence.stop_lines, world)
+        lights = read_lights(evidence.lights, lines, world)
+    for name, file in ROAD_FILES.items():
+        if (source := getattr(evidence, name)) is not None:
+            shutil.copyfile(source, folder / file)
+    return hdmap, lights
+
+
 def _track(
-    video: Video, aim: AIM, evidence: Evidence, progress: Progress
+    video: Video, aim: AIM, evidence: Evidence, hdmap: HDMap | None, progress: Progress
 ) -> tuple[Tracks | None, str]:
     """Track the vehicles; with why there is none, unless the boxes of a detector were given."""
     try:
-        return track_video(video, aim, evidence.detections, progress=progress), ""
+        return track_video(video, aim, evidence.detections, hdmap=hdmap, progress=progress), ""
     except (TracksError, RegistrationError) as error:
         if evidence.detections is not None:
             raise
         return None, str(error)
 
 
-def _film(aim: AIM, tracks: Tracks, path: Path, progress: Progress) -> None:
-    """Write a film of the tracks on the map."""
+def _film(aim: AIM, tracks: Tracks, lights: Lights | None, path: Path, progress: Progress) -> None:
+    """Write a film of the tracks on the map, with the lights."""
     rate = 1 / float(np.median(np.diff(tracks.times)))
     if rate > FILM_RATE:
         tracks, rate = resample_tracks(tracks, FILM_RATE), FILM_RATE
-    pictures = render_map_video(make_scene(aim, tracks), aim)
+    pictures = render_map_video(make_scene(aim, tracks, lights), aim)
     reported = report_each(pictures, progress, "film", len(tracks.times))
     write_pictures(reported, path, frame_rate=rate)
 

@@ -8,13 +8,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from shapely import LineString
 from typer.testing import CliRunner
 
 import geoaim
 from geoaim.base.errors import GeoaimWarning, TracksError, VideoError
+from geoaim.base.geojson import Feature
+from geoaim.base.world import World
 from geoaim.cli import app
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.scale import check_scale, propose_scale
+from tests.geojson_files import write_features
 
 SAMPLES = Path(__file__).parents[1] / "samples"
 RESOLUTION = 0.264  # metres per pixel of the sample's video at half its size
@@ -76,6 +80,27 @@ def test_commands_take_the_folder(junction, tmp_path):
     assert "needs --tracks" in " ".join(result.output.split())
 
 
+def test_lights_go_into_the_folder_and_other_commands_show_them(video, junction, tmp_path):
+    (left, top), _, (right, bottom), _ = junction[1].aim.corners
+    x, y = (left + right) / 2, (top + bottom) / 2
+    stop_line = Feature(LineString([[x - 2, y], [x + 2, y]]), {"signal": "a"})
+    lines, lights = tmp_path / "lines.geojson", tmp_path / "states.csv"
+    write_features([stop_line], World(None), lines)
+    lights.write_text("time,signal,state\n0,a,red\n")
+    given = {"lights": lights, "stop_lines": lines, "frame_resolution": RESOLUTION}
+    folder = tmp_path / "junction"
+    result = geoaim.place_video(video, folder, geoaim.Evidence(**given))
+    assert result.known["lights: signals"] == "a"
+    names = {path.name for path in folder.iterdir()}
+    assert names == {*FILES, "lights.csv", "stop_lines.geojson"}
+    output = ["-o", str(tmp_path / "simulated.csv")]
+    simulated = run(app, ["simulate", str(folder), "--policy", "replay", *output])
+    assert "red light" in simulated.output, simulated.output
+    alone = run(app, ["simulate", str(junction[0]), "--policy", "replay", *output])
+    assert alone.exit_code == 0
+    assert "red light" not in alone.output
+
+
 def test_a_folder_that_holds_files_and_a_single_frame_are_refused(junction, video):
     folder, _ = junction
     with pytest.raises(ValueError, match="name a new folder"):
@@ -93,6 +118,8 @@ def test_evidence_that_contradicts_itself_is_refused(video, tmp_path):
         (geoaim.Evidence(near=(49.0, 36.0)), "need imagery"),
         (geoaim.Evidence(imagery="ortho.tif"), "no telemetry"),
         (geoaim.Evidence(imagery="ortho.tif", points="points.csv"), "give one"),
+        (geoaim.Evidence(lights="lights.csv"), "need an HD map or stop lines"),
+        (geoaim.Evidence(stop_lines="lines.geojson"), "need lights"),
     ):
         with pytest.raises(ValueError, match=message):
             geoaim.place_video(video, tmp_path / "folder", evidence)

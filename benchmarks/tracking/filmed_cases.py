@@ -37,7 +37,14 @@ class FilmedCase:
     size: tuple[int, int]  # height and width of the frames, pixels
 
 
-def film_drawn(kind: PlaceKind, seed: int, folder: Path, *, seconds: float) -> FilmedCase:
+def film_drawn(
+    kind: PlaceKind,
+    seed: int,
+    folder: Path,
+    *,
+    seconds: float,
+    frame_rate: float = HOVER.frame_rate,
+) -> FilmedCase:
     """Film a drawn place in 1080p, and build its map.
 
     Args:
@@ -45,11 +52,12 @@ def film_drawn(kind: PlaceKind, seed: int, folder: Path, *, seconds: float) -> F
         seed: of everything in it.
         folder: for the video.
         seconds: of video.
+        frame_rate: frames per second.
 
     Returns:
         The case.
     """
-    hover = replace(HOVER, count=round(seconds * HOVER.frame_rate))
+    hover = replace(HOVER, count=round(seconds * frame_rate), frame_rate=frame_rate)
     minutes = max(seconds / 60, 0.2)
     sample = make_sample(seed, kind=kind, minutes=minutes, video=VIDEOS["1080p"], hover=hover)
     clip = sample.clip

@@ -123,7 +123,9 @@ def check_new_folder(folder: Path) -> None:
         raise ValueError(f"{folder} is in use and cannot be replaced; name a new folder in it")
 
 
-MAP_FILE, TRACKS_FILE = "map.tif", "tracks.csv"  # in a folder that `geoaim place` wrote
+# in a folder that `geoaim place` wrote; those of the roads only where they were given
+MAP_FILE, TRACKS_FILE = "map.tif", "tracks.csv"
+ROAD_FILES = {"lights": "lights.csv", "hdmap": "map.osm", "stop_lines": "stop_lines.geojson"}
 
 
 def find_in_folder(path: str | os.PathLike[str], name: str) -> Path:

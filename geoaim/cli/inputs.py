@@ -206,7 +206,7 @@ def take_scene_files(command: Callable[..., None]) -> Callable[..., None]:
         bound = signature.bind(*args, **kwargs)
         bound.apply_defaults()
         files = {option.name: bound.arguments.pop(option.name) for option in shared}
-        _open_folder(bound.arguments)
+        _open_folder(bound.arguments, files)
         command(**bound.arguments, files=files)
 
     run.__signature__ = signature  # type: ignore[attr-defined]  # typer reads both
@@ -214,17 +214,27 @@ def take_scene_files(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def _open_folder(arguments: dict[str, Any]) -> None:
-    """Take the map and the tracks of a folder that `geoaim place` wrote, where it is given."""
-    from geoaim.base.files import MAP_FILE, TRACKS_FILE, find_in_folder
+def _open_folder(arguments: dict[str, Any], files: dict[str, Any]) -> None:
+    """Take the map, the tracks and the roads of a folder that `geoaim place` wrote, if given."""
+    from geoaim.base.files import MAP_FILE, ROAD_FILES, TRACKS_FILE, find_in_folder
 
     given = arguments.get("aim") or next(iter(arguments.get("maps") or ()), None)
     if given is None or find_in_folder(given, MAP_FILE) == given:
         return
     if arguments["tracks"] is None and find_in_folder(given, TRACKS_FILE) != given:
         arguments["tracks"] = given / TRACKS_FILE
+        # its lights are of its own times
+        files |= find_roads(given, {k: v for k, v in files.items() if k in ROAD_FILES})
     if "aim" in arguments:
         arguments["aim"] = given / MAP_FILE
+
+
+def find_roads(folder: Path, given: Mapping[str, Path | None]) -> dict[str, Path | None]:
+    """Find the lights, the HD map and the stop lines in a folder of `geoaim place`; others win."""
+    from geoaim.base.files import ROAD_FILES, find_in_folder
+
+    found = {name: find_in_folder(folder, ROAD_FILES[name]) for name in given}
+    return {name: given[name] or (None if file == folder else file) for name, file in found.items()}
 
 
 COLUMNS = tuple(field.name for field in fields(SceneSource))

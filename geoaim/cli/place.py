@@ -24,6 +24,9 @@ def place(
         float | None,
         typer.Option(help="metres per pixel of the video; proposed by its cars if omitted"),
     ] = None,
+    lights: options.LightsFile = None,
+    hdmap: options.HDMapFile = None,
+    stop_lines: options.StopLinesFile = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Take a video all the way: its map, its tracks, a film and a report, in one folder.
@@ -31,7 +34,7 @@ def place(
     Nothing else is needed: without imagery, points and telemetry the map has metres of its own, in
     which most vehicles are as large as cars; without boxes, vehicles are found without a detector.
     The report says what is known, how surely, and what is missing. Other commands take the folder
-    in place of a map and its tracks.
+    in place of a map and its tracks, with the lights and the HD map that were given.
 
     Example: geoaim place samples/hover.mp4 -o junction
     """
@@ -47,6 +50,9 @@ def place(
             imagery_accuracy=imagery_accuracy,
             detections=detections,
             frame_resolution=frame_resolution,
+            lights=lights,
+            hdmap=hdmap,
+            stop_lines=stop_lines,
         )
         placed = place_video(video, output, evidence, progress=progress)
     files = sorted(output.iterdir())

@@ -9,7 +9,7 @@ import typer
 from geoaim.base.errors import warn
 from geoaim.cli import options
 from geoaim.cli.console import console, print_result, report_errors, show_progress
-from geoaim.cli.inputs import read_any_lights, read_any_tracks
+from geoaim.cli.inputs import find_roads, read_any_lights, read_any_tracks
 from geoaim.cli.outputs import TRACKS, check_output
 
 if TYPE_CHECKING:
@@ -101,6 +101,7 @@ def track(
                 "read; give it too, or leave them out"
             )
         ground = read_aim(aim)
+        hdmap = find_roads(aim, {"hdmap": hdmap})["hdmap"]
         lanes = None if hdmap is None else read_hdmap(hdmap, ground.world)
         tracks = track_video(
             opened, ground, boxes, hdmap=lanes, flying_height=flying_height, progress=progress
@@ -181,6 +182,8 @@ def convert(
         if written != "plain":
             _warn_of_derived_states(read, tracks)
         if written == "scenarionet":
+            files = {"lights": lights, "hdmap": hdmap, "stop_lines": stop_lines}
+            lights, hdmap, stop_lines = find_roads(tracks[0], files).values()
             roads = None if hdmap is None else read_hdmap(hdmap, read.world)
             known = read_any_lights(lights, stop_lines, roads, read.world)
             write_scenarionet(read, output, hdmap=roads, lights=known, ego=ego)

@@ -98,6 +98,9 @@ def split_scene(scene: Scene, val_fraction: float) -> tuple[Scene, Scene]:
 def cut_moving_and_parked(scene: Scene, config: Config, steps: int | None = None) -> Segments:
     """Cut segments of moving agents, and some of parked ones, which then are known to stay.
 
+    Smoothed states, where a scene has them, are what a model learns to predict; those that were
+    observed at each time have more noise, and are not known in the first second of an agent.
+
     Args:
         scene: a scene with the config's dt.
         config: the model's configuration: its agent kind.
@@ -110,6 +113,9 @@ def cut_moving_and_parked(scene: Scene, config: Config, steps: int | None = None
         TracksError: no moving agent of the kind is there for long enough.
     """
     steps, stride = steps or SEGMENT_STEPS[config.kind], SEGMENT_STRIDES[config.kind]
+    if scene.smoothed:  # of agents whose heading is known at some time
+        known = torch.isfinite(scene.observed).all(dim=2).any(dim=1, keepdim=True)
+        scene = replace(scene, observed=scene.states, present=scene.present & known)
     moving = cut_segments(scene, config.kind, steps=steps, stride=stride)
     try:
         parked = cut_segments(scene, config.kind, steps=steps, stride=steps, parked=True)

@@ -52,6 +52,8 @@ class Scene(Display):
             the tracks until then; NaN while absent or not yet seen for long enough. Predictions
             start from these.
         world: the plane of the metres; None: not known.
+        smoothed: whether poses and speeds are smoothed estimates of noisy detections, as those of
+            `track_video` are; models learn from these.
     """
 
     ground: Ground
@@ -66,6 +68,7 @@ class Scene(Display):
     light_states: Int[Tensor, "T L"]
     observed: Float[Tensor, "N T 4"]
     world: World | None = None
+    smoothed: bool = False
 
     @property
     def states(self) -> Float[Tensor, "N T 4"]:
@@ -193,6 +196,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
         light_states=torch.tensor(states),
         observed=torch.tensor(tracks.get_observed(), dtype=torch.float32),
         world=aim.world,
+        smoothed=tracks.uncertainty is not None,
     )
 
 

@@ -1,7 +1,8 @@
 """Vehicles without a detector: what differs from the map in registered frames."""
 
+import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
@@ -20,6 +21,7 @@ LEARNING_FRAMES = 30  # spread over the video, by which the ground's noise and s
 MAX_RESOLUTION = 0.6  # metres per pixel; a car is no longer several pixels wide in coarser frames
 MAX_SMALL_RESOLUTION = 0.1  # metres per pixel up to which people and cyclists are told from noise
 MIN_VEHICLE_M2 = 2.0
+BORDER_M = 0.5  # a box that ends this near to where nothing is known may be cut off
 SHAPE_SIGMA_M = 0.1  # of a vehicle's middle, by errors of its shape that last
 MIN_SEEN = 0.5  # of a track's time
 MIN_PATH_M = 1.0  # of what is smaller; such a piece that stays is a blemish of the map
@@ -71,16 +73,28 @@ def search_frames(
         matrix = matrices.get(frame.index)
         if matrix is None or not np.isfinite(matrix).all():
             continue
-        strength, shaded = find_foreground(ground, *grid.view(frame.image, matrix))
+        image, seen = grid.view(frame.image, matrix)
+        strength, shaded = find_foreground(ground, image, seen)
         shapes = find_shapes(
             strength, shaded, grid.resolution, ground.sun, 0.25 if small else MIN_VEHICLE_M2
         )
         frame_from_grid = np.linalg.inv(grid.grid_from_world @ matrix)
         corners = transform_points(frame_from_grid, shapes.corners.reshape(-1, 2)).reshape(-1, 4, 2)
         boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
-        found[frame.index] = DetectedBoxes(boxes, corners, shapes.scores)
+        ends = _find_ends(seen & ground.covered, shapes.corners, grid.resolution)
+        found[frame.index] = DetectedBoxes(boxes, corners, shapes.scores, at_border=ends)
         progress("find vehicles", len(found), len(known))
     return [found.get(index) for index in matrices]
+
+
+def _find_ends(
+    known: Bool[Array, "H W"], corners: Float[Array, "N 4 2"], resolution: float
+) -> Bool[Array, "N 4"]:
+    """Find which corners lie where what is known of the ground ends."""
+    reach = 2 * round(BORDER_M / resolution) + 1
+    inner = cv2.erode(known.view(np.uint8), np.ones((reach, reach), np.uint8), borderValue=0)
+    columns, rows = corners.astype(int).clip(0, np.array(inner.shape[::-1]) - 1).T
+    return np.asarray(inner[rows, columns].T == 0)
 
 
 def finish_tracks(tracks: Tracks) -> Tracks:

@@ -13,6 +13,8 @@ from geoaim.mapping.video.detections import DetectedBoxes
 BORDER_PX = 8.0  # a box that ends this near to the frame's border may be cut off by it
 FRAMES_AT_ONCE = 1000
 MID_SIDES = np.array([[0.0, 0.5], [1.0, 0.5], [0.5, 0.0], [0.5, 1.0]])  # of a box: ends of its axes
+# of the corners of a box, those at the start and the end of each side
+END_CORNERS = np.array([[[0, 3], [1, 2]], [[0, 1], [2, 3]]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +102,12 @@ def _place(
     extent = np.column_stack([np.hypot(*along.T), np.hypot(*across.T)])
     pixels = np.hypot(*first.T) * np.hypot(*second.T)
     limits = np.array(size[::-1])
-    near = np.stack([bounds[:, :2] < BORDER_PX, bounds[:, 2:] > limits - BORDER_PX], -1)
+    cut = np.stack([bounds[:, :2] < BORDER_PX, bounds[:, 2:] > limits - BORDER_PX], -1)
+    # an end of a turned box is cut off if a corner of it is: two opposite ends, if all along a side
+    near = ((corners < BORDER_PX) | (corners > limits - BORDER_PX)).any(axis=2)
+    near |= np.concatenate([boxes.get_at_border() for _, boxes in known])
+    turned = near[:, END_CORNERS].any(axis=3)
+    cut = np.where(oriented[:, None, None], turned, cut)
     return GroundDetections(
         step=step,
         position=position,
@@ -108,7 +115,7 @@ def _place(
         down=across / np.maximum(extent[:, 1:], 1e-9),
         extent=extent,
         oriented=oriented,
-        cut=near & ~oriented[:, None, None],
+        cut=cut,
         resolution=np.sqrt(extent.prod(axis=1) / np.maximum(pixels, 1e-9)),
         score=np.concatenate([boxes.get_scores() for _, boxes in known]),
         types=np.concatenate([boxes.get_types() for _, boxes in known]),

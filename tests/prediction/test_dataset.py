@@ -67,3 +67,14 @@ def test_recordings_that_are_too_short_are_reported():
     with pytest.warns(GeoaimWarning, match="no training segments in recording 2 of 2"):
         data = make_dataset([scene(), slice_scene(scene(), slice(0, 8))], TINY, val_fraction=0.7)
     assert len(data.train) == len(make_dataset([scene()], TINY, val_fraction=0.7).train)
+
+
+def test_models_learn_from_smoothed_states_of_agents_whose_heading_is_known():
+    exact = scene()
+    observed = exact.observed + 0.1
+    observed[:2, :10] = float("nan")  # not seen for long enough
+    observed[1] = float("nan")  # never known
+    data = make_dataset([replace(exact, observed=observed, smoothed=True)], TINY, val_fraction=0.3)
+    moving = data.train.states[data.train.states[:, 0, 0, 1] != PARKED_Y][:, 0]
+    assert moving[:, 0, 0].unique().tolist() == [0.0, 5.0]
+    assert moving[..., 1].unique().tolist() == [0.0]

@@ -295,3 +295,26 @@ def test_memory_grows_with_what_is_seen_and_not_with_its_square():
     assert len(found.to_dataframe()) == found.present.sum() == 30 * 22
     assert "states" not in vars(found)  # N times T values are not made unless they are asked for
     np.testing.assert_array_equal(found.states[found.present], found.get_rows("states"))
+
+
+def test_turned_boxes_that_the_border_cuts_off_are_completed():
+    length, width, speed, end = 5.0, 2.0, 10.0, 40.0
+    times = np.arange(40) / 10
+    frames: list[DetectedBoxes | None] = []
+    for time in times.tolist():
+        front = 15 + speed * time
+        back, front = front - length, min(front, end)
+        if back > end - 0.5:
+            frames.append(DetectedBoxes(np.empty((0, 4)), np.empty((0, 4, 2))))
+            continue
+        box = np.array([[back, 9.0], [front, 9.0], [front, 9.0 + width], [back, 9.0 + width]])
+        corners = 10.0 * box[None]  # ten pixels per metre
+        bounds = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
+        at_border = corners[..., 0] > 10 * end - 1
+        frames.append(DetectedBoxes(bounds, corners, np.ones(1), at_border=at_border))
+    matrices = np.repeat(np.diag([0.1, 0.1, 1.0])[None], len(times), axis=0)
+    tracks = track_boxes(frames, matrices, times, World(None), (400, 800))
+    present = tracks.present[0]
+    middle = 15 + speed * times[present] - length / 2
+    assert np.abs(tracks.states[0, present, 0] - middle).max() < 0.1
+    assert np.abs(tracks.states[0, present, 3] - speed).max() < 0.5

@@ -62,6 +62,8 @@ class DetectedBoxes:
     scores: Float[Array, " N"] | None = None  # confidences, 0 to 1; None: not known
     types: tuple[str, ...] = ()  # agent types, "" for one that is not known; (): none is
     ids: tuple[str, ...] = ()  # ids that a tracker gave, "" for none; (): none
+    # which corners lie where what was searched ends, beside the frame's border; None: none does
+    at_border: Bool[Array, "N 4"] | None = None
 
     def get_corners(self) -> Float[Array, "N 4 2"]:
         """Get the corners of all boxes; of upright ones top-left, top-right and so on."""
@@ -74,6 +76,10 @@ class DetectedBoxes:
     def get_scores(self) -> Float[Array, " N"]:
         """Get the confidences, NaN where they are not known."""
         return np.full(len(self.boxes), np.nan) if self.scores is None else self.scores
+
+    def get_at_border(self) -> Bool[Array, "N 4"]:
+        """Get which corners lie where what was searched ends."""
+        return np.zeros((len(self.boxes), 4), bool) if self.at_border is None else self.at_border
 
     def get_types(self) -> Shaped[Array, " N"]:
         """Get the types, "" where they are not known."""
