@@ -114,7 +114,8 @@ def measure_case(
 ) -> Iterator[dict[str, Any]]:
     """Measure a tracker on a case: a row for vehicles, and one for people."""
     given = case.boxes, case.world_from_frame, case.truth.times, case.truth.world, case.size
-    result = track(*given)
+    heights = {} if case.flying_height is None else {"flying_height": case.flying_height}
+    result = track(*given, **(heights if track is track_boxes else {}))
     found, own = (result, None) if isinstance(result, Tracks) else (result.tracks, result.boxes)
     for name, groups in GROUPS.items():
         kept = [

@@ -1,7 +1,7 @@
 """Made detections of synthetic agents: boxes with misses, false ones and noise, and their truth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,6 +18,9 @@ FRAME_RATE = 25.0  # Hz
 DRIFT_PX = 10.0  # of the camera
 MIN_BOX_PX = 2.0  # a smaller part of an agent in the frame is not visible
 MIN_SEEN = 35  # frames before and after an agent is hidden
+# height of agents, m, and the length of their roofs as a share of their own, by type
+ROOFS = {"car": (1.5, 0.6), "van": (2.0, 0.85), "truck": (3.4, 1.0), "bus": (3.1, 1.0)}
+OTHER_ROOF = 1.7, 1.0
 CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
 
 
@@ -34,6 +37,7 @@ class DetectorErrors:
     lasting_s: float = 1.5  # how long it does
     doubled: float = 0.0  # share of boxes that come twice
     lost_s: float = 0.0  # for how long each agent is hidden once
+    flying_height: float | None = None  # m, from which agents with roofs are seen; None: flat ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +50,7 @@ class TrackingCase:
     world_from_frame: Float[Array, "T 3 3"]  # by registration, or exact
     boxes: list[DetectedBoxes]
     size: tuple[int, int]  # height and width of the frames, pixels
+    flying_height: float | None = None  # m; None: agents are flat, as seen from far above
 
 
 def make_drawn_case(
@@ -102,8 +107,37 @@ def make_case_of(
     """
     frame_from_world = np.linalg.inv(world_from_frame)
     boxes, visible = project_boxes(truth, frame_from_world, size)
+    if errors.flying_height is not None:
+        boxes = _add_roofs(boxes, truth, frame_from_world, size, errors.flying_height, generator)
     found = detect_boxes(boxes, visible, truth.types, errors, size, generator)
-    return TrackingCase(name, truth, frame_from_world, world_from_frame, found, size)
+    height = errors.flying_height
+    return TrackingCase(name, truth, frame_from_world, world_from_frame, found, size, height)
+
+
+def _add_roofs(
+    boxes: Float[Array, "N T 4"],
+    truth: Tracks,
+    frame_from_world: Float[Array, "T 3 3"],
+    size: tuple[int, int],
+    flying_height: float,
+    generator: np.random.Generator,
+) -> Float[Array, "N T 4"]:
+    """Add roofs to boxes, smaller than the agents' bases, as a camera above the middle sees them.
+
+    Heights and the sizes of roofs differ from agent to agent.
+    """
+    kinds = [ROOFS.get(kind, OTHER_ROOF) for kind in truth.types]
+    height = np.array([high for high, _ in kinds]) * generator.uniform(0.85, 1.15, len(kinds))
+    share = np.array([part for _, part in kinds]) * generator.uniform(0.9, 1.0, len(kinds))
+    smaller = replace(truth, sizes=truth.sizes * np.column_stack([share, np.full(len(share), 0.9)]))
+    roofs, _ = project_boxes(smaller, frame_from_world, size)
+    middle = np.tile(np.array(size[::-1]) / 2, 2)
+    scale = flying_height / (flying_height - height)
+    leaning = middle + (roofs - middle) * scale[:, None, None]
+    low = np.minimum(boxes[..., :2], leaning[..., :2])
+    high = np.maximum(boxes[..., 2:], leaning[..., 2:])
+    limits = np.tile(np.array(size[::-1], float), 2)
+    return np.concatenate([low, high], axis=2).clip(0, limits)
 
 
 def project_boxes(

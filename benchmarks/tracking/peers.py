@@ -12,15 +12,20 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.optimize import linear_sum_assignment
 
 from geoaim.base.world import World
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.tracking.association import MIN_HIT_SHARE, MIN_HITS
 from geoaim.tracking.ground_detections import place_boxes
+from geoaim.tracking.kalman import predict, start, update
 from geoaim.tracks.formats.motion import make_tracks_from_positions
 from geoaim.tracks.tracks import Tracks
 
 HALF_WINDOW_S = 0.25  # of the differences that give headings and speeds
+# of the plain filter: acceleration (px²/s³), a coordinate's noise and a first velocity (px, px/s),
+# and the frames for which a track waits
+KALMAN_NOISE_PX, KALMAN_SIGMA_PX, KALMAN_SPEED_PX, KALMAN_WAIT = 2000.0, 2.0, 150.0, 30
 SIDES = ["left", "top", "right", "bottom"]
 
 
@@ -37,11 +42,12 @@ Tracker = Callable[..., PeerTracks]
 
 def list_peers() -> Mapping[str, Tracker]:
     """List the trackers that are installed, by name, each with the interface of `track_boxes`."""
+    floor = {"Kalman and Hungarian": follow_by_kalman}
     try:
         from trackers import ByteTrackTracker, OCSORTTracker  # peers, not dependencies
     except ImportError:
         print("trackers is not installed: pip install trackers")
-        return {}
+        return floor
 
     def follow_by_bytetrack(*arguments: object) -> PeerTracks:
         return _track(lambda rate: ByteTrackTracker(frame_rate=rate), *arguments)  # type: ignore[arg-type]
@@ -49,7 +55,7 @@ def list_peers() -> Mapping[str, Tracker]:
     def follow_by_ocsort(*arguments: object) -> PeerTracks:
         return _track(lambda rate: OCSORTTracker(frame_rate=rate), *arguments)  # type: ignore[arg-type]
 
-    return {"ByteTrack": follow_by_bytetrack, "OC-SORT": follow_by_ocsort}
+    return floor | {"ByteTrack": follow_by_bytetrack, "OC-SORT": follow_by_ocsort}
 
 
 def _track(
@@ -60,7 +66,7 @@ def _track(
     world: World,
     size: tuple[int, int],
 ) -> PeerTracks:
-    """Track in pixels; fill gaps, drop short tracks, and place and difference the boxes."""
+    """Track in pixels by a tracker of the package."""
     import supervision
 
     tracker = make(float(1 / np.median(np.diff(times))))
@@ -76,7 +82,64 @@ def _track(
         part = pd.DataFrame(np.asarray(found.xyxy, np.float64), columns=SIDES)
         types = frame.get_types()[found.class_id]
         parts.append(part.assign(step=step, id=found.tracker_id, type=types))
-    rows = _fill_gaps(pd.concat(parts))
+    return _place(pd.concat(parts), frames, world_from_frame, times, world, size)
+
+
+def follow_by_kalman(
+    frames: Sequence[DetectedBoxes],
+    world_from_frame: Float[Array, "T 3 3"],
+    times: Float[Array, "T"],
+    world: World,
+    size: tuple[int, int],
+) -> PeerTracks:
+    """Track by the least there is: a Kalman filter of constant velocity and Hungarian assignment.
+
+    Middles of boxes in pixels, the nearest pairs within the larger side of the box; a track ends
+    after 30 frames without one. Boxes are those of the detector.
+    """
+    mean, covariance = np.empty((0, 2, 2)), np.empty((0, 2, 2))
+    numbers, missed, count, parts = np.empty(0, int), np.empty(0, int), 0, []
+    for step, frame in enumerate(frames):
+        boxes = np.asarray(frame.boxes, float).reshape(-1, 4)
+        middle = (boxes[:, :2] + boxes[:, 2:]) / 2
+        dt = float(times[step] - times[step - 1]) if step else 0.0
+        mean, covariance = predict(mean, covariance, dt, np.full(len(mean), KALMAN_NOISE_PX))
+        offset = mean[:, None, 0] - middle[None]
+        distance = np.hypot(offset[..., 0], offset[..., 1])
+        reach = (boxes[:, 2:] - boxes[:, :2]).max(axis=1, initial=0)
+        rows, columns = linear_sum_assignment(np.minimum(distance / np.maximum(reach, 1e-9), 2.0))
+        near = distance[rows, columns] < reach[columns]
+        rows, columns = rows[near], columns[near]
+        sigma = np.full(len(rows), KALMAN_SIGMA_PX)
+        mean[rows], covariance[rows] = update(mean[rows], covariance[rows], middle[columns], sigma)
+        missed += 1
+        missed[rows] = 0
+        own = np.full(len(boxes), -1)
+        own[columns] = numbers[rows]
+        new = np.flatnonzero(own < 0)
+        own[new] = count + np.arange(len(new))
+        count += len(new)
+        begun = start(middle[new], np.full(len(new), KALMAN_SIGMA_PX), KALMAN_SPEED_PX)
+        kept = missed <= KALMAN_WAIT
+        mean = np.concatenate([mean[kept], begun[0]])
+        covariance = np.concatenate([covariance[kept], begun[1]])
+        numbers = np.concatenate([numbers[kept], own[new]])
+        missed = np.concatenate([missed[kept], np.zeros(len(new), int)])
+        part = pd.DataFrame(boxes, columns=SIDES)
+        parts.append(part.assign(step=step, id=own, type=frame.get_types()))
+    return _place(pd.concat(parts), frames, world_from_frame, times, world, size)
+
+
+def _place(
+    rows: pd.DataFrame,
+    frames: Sequence[DetectedBoxes],
+    world_from_frame: Float[Array, "T 3 3"],
+    times: Float[Array, "T"],
+    world: World,
+    size: tuple[int, int],
+) -> PeerTracks:
+    """Fill gaps, drop short tracks, and place and difference the boxes."""
+    rows = _fill_gaps(rows)
     steps = [rows[rows["step"] == step] for step in range(len(frames))]
     filled = [
         DetectedBoxes(part[SIDES].to_numpy(), types=tuple(part["type"]), ids=tuple(part["id"]))

@@ -44,7 +44,7 @@ def measure_songdo(folder: Path, stride: int = 1) -> dict[str, Any]:
     boxes = [read(Frame(step, time, None, empty)) for step, time in enumerate(times.tolist())]
     boxes, world_from_frame, times = boxes[::stride], world_from_frame[::stride], times[::stride]
     found = track_boxes(boxes, world_from_frame, times, own.world, SIZE)
-    pairs, distance = _match(own, found)
+    pairs, distance = match_states(own, found, MAX_DISTANCE_M)
     frame = pd.DataFrame(pairs, columns=["own", "found"])
     speeds = np.nanmax(np.abs(found.states[..., 3]), axis=1)
     alike = frame.value_counts().rename("count").reset_index()
@@ -85,16 +85,16 @@ def _count_states(own: Tracks, times: Float[Array, "T"]) -> int:
     return int(own.present[:, steps].sum())
 
 
-def _match(own: Tracks, found: Tracks) -> tuple[Array, Float[Array, "m"]]:
-    """Match states frame by frame: rows of both, and their distances, m."""
+def match_states(own: Tracks, found: Tracks, reach: float) -> tuple[Array, Float[Array, "m"]]:
+    """Match states frame by frame within reach, m: rows of both, and their distances, m."""
     pairs, distances = [], []
     for step, time in enumerate(found.times):
         there = int(np.abs(own.times - time).argmin())
         one, other = np.flatnonzero(own.present[:, there]), np.flatnonzero(found.present[:, step])
         offset = own.states[one, there, None, :2] - found.states[None, other, step, :2]
         distance = np.hypot(offset[..., 0], offset[..., 1])
-        rows, columns = linear_sum_assignment(np.minimum(distance, MAX_DISTANCE_M))
-        near = distance[rows, columns] < MAX_DISTANCE_M
+        rows, columns = linear_sum_assignment(np.minimum(distance, reach))
+        near = distance[rows, columns] < reach
         pairs.append(np.column_stack([one[rows[near]], other[columns[near]]]))
         distances.append(distance[rows, columns][near])
     return np.concatenate(pairs), np.concatenate(distances)

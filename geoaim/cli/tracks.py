@@ -52,6 +52,10 @@ def track(
     ] = None,
     hdmap: options.HDMapFile = None,
     as_json: options.AsJson = False,
+    flying_height: Annotated[
+        float | None,
+        typer.Option(help="of the camera above the ground, m: corrects roofs", min=10.0),
+    ] = None,
 ) -> None:
     """Track the agents of a video on its map, from a detector's boxes or without a detector.
 
@@ -71,6 +75,7 @@ def track(
     from geoaim.mapping.video.video import open_video
     from geoaim.tracking.pipeline import track_video
     from geoaim.tracking.report import WITHOUT_DETECTOR, summarize_tracking
+    from geoaim.tracking.roofs import describe_roofs
     from geoaim.tracks.files import write_tracks
 
     with show_progress() as progress, report_errors():
@@ -98,11 +103,15 @@ def track(
         ground = read_aim(aim)
         hdmap = find_roads(aim, {"hdmap": hdmap})["hdmap"]
         lanes = None if hdmap is None else read_hdmap(hdmap, ground.world)
-        tracks = track_video(opened, ground, boxes, hdmap=lanes, progress=progress)
+        tracks = track_video(
+            opened, ground, boxes, hdmap=lanes, flying_height=flying_height, progress=progress
+        )
         write_tracks(tracks, output)
     lines = summarize_tracking(tracks, ground)
     if detections is None:
         lines["detections"] = WITHOUT_DETECTOR
+    else:
+        lines["roofs"] = describe_roofs(flying_height, opened.telemetry)
     print_result([output], lines, as_json)
 
 

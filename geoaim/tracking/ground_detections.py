@@ -33,6 +33,7 @@ class GroundDetections:
     score: Float[Array, " M"]  # confidence of the detector, 0 to 1; NaN if unknown
     types: Shaped[Array, " M"]  # agent types, "" if unknown
     ids: Shaped[Array, " M"]  # ids that a tracker gave, "" if none
+    roof_sigma: Float[Array, " M"]  # how far off the correction of a roof may be, m; 0 without one
 
     @property
     def may_be_cut(self) -> Bool[Array, " M"]:
@@ -119,6 +120,7 @@ def _place(
         score=np.concatenate([boxes.get_scores() for _, boxes in known]),
         types=np.concatenate([boxes.get_types() for _, boxes in known]),
         ids=np.concatenate([boxes.get_ids() for _, boxes in known]),
+        roof_sigma=np.zeros(len(step)),
     )
 
 

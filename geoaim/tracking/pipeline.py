@@ -23,6 +23,7 @@ from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_b
 from geoaim.tracking.find_vehicles import finish_tracks, search_frames
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_detections import GroundDetections, place_boxes, select_detections
+from geoaim.tracking.roofs import correct_roofs
 from geoaim.tracking.scale import check_scale
 from geoaim.tracking.standing import Directions
 from geoaim.tracking.states import make_states
@@ -38,6 +39,7 @@ def track_video(
     detections: DetectionSource | None = None,
     *,
     hdmap: HDMap | None = None,
+    flying_height: float | None = None,
     progress: Progress = notebook_progress,
 ) -> Tracks:
     """Track the agents of a video in the world of an AIM.
@@ -52,6 +54,7 @@ def track_video(
             vehicles are found without a detector, by what differs from the AIM (`find_vehicles`),
             which must be one of this video.
         hdmap: lanes, which tell the headings of vehicles that do not move; None: not known.
+        flying_height: as in `track_boxes`.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
 
     Returns:
@@ -73,7 +76,15 @@ def track_video(
     lanes = None if hdmap is None else Directions(*sample_lane_directions(hdmap))
     size = opened.height, opened.width
     times = find_image_times(opened, poses.registration.index, poses.times)
-    tracks = track_boxes(known, poses.world_from_frame, times, aim.world, size, lanes=lanes)
+    tracks = track_boxes(
+        known,
+        poses.world_from_frame,
+        times,
+        aim.world,
+        size,
+        lanes=lanes,
+        flying_height=flying_height,
+    )
     if detections is None:
         tracks = finish_tracks(tracks)
         check_scale(tracks, aim)
@@ -120,7 +131,7 @@ def find_image_times(
     return np.asarray((numbers - numbers[0]) / gaps.min() / video.rate)[index]
 
 
-def track_boxes(
+def track_boxes(  # noqa: PLR0913  (its options)
     frames: Sequence[DetectedBoxes | None],
     world_from_frame: Float[Array, "T 3 3"],
     times: Float[Array, "T"],
@@ -128,6 +139,7 @@ def track_boxes(
     size: tuple[int, int],
     *,
     lanes: Directions | None = None,
+    flying_height: float | None = None,
 ) -> Tracks:
     """Track agents from their boxes in frames whose place in the world is known.
 
@@ -138,6 +150,8 @@ def track_boxes(
         world: the plane of those metres.
         size: (height, width) of the frames, pixels.
         lanes: directions of lanes, for vehicles that never move; None: not known.
+        flying_height: of the camera above the ground, m, looking straight down; roofs, which lean
+            outwards, are corrected by it, and what may be left is stated. None: neither is done.
 
     Returns:
         The tracks at the times of all frames.
@@ -145,7 +159,8 @@ def track_boxes(
     Raises:
         TracksError: no track is found.
     """
-    tracks = make_states(*_follow_boxes(frames, world_from_frame, times, size), times, world, lanes)
+    followed = _follow_boxes(frames, world_from_frame, times, size, flying_height)
+    tracks = make_states(*followed, times, world, lanes)
     check_tracks(tracks)
     return tracks
 
@@ -155,6 +170,7 @@ def _follow_boxes(
     world_from_frame: Float[Array, "T 3 3"],
     times: Float[Array, "T"],
     size: tuple[int, int],
+    flying_height: float | None,
 ) -> tuple[GroundDetections, Tracklets]:
     """Place boxes on the ground and associate them; those of no track are left out."""
     frames, doubled, empty = drop_doubled_boxes(frames)
@@ -163,6 +179,8 @@ def _follow_boxes(
     if empty:
         warn(f"{empty} boxes without an area, or with values missing, are left out")
     detections = place_boxes(frames, world_from_frame, size)
+    if flying_height is not None:
+        detections = correct_roofs(detections, world_from_frame, size, flying_height)
     check_sizes(detections)
     tracklets = associate(detections, times)
     kept = np.flatnonzero(tracklets.track >= 0)

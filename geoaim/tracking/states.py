@@ -78,6 +78,7 @@ def make_states(
     poses = compute_poses(again, rows, agents, detections, lanes)
     del again
     lasting = _measure_lasting(detections, agents.sizes[track], poses.states[at, 2], noise)
+    lasting = np.hypot(lasting, detections.roof_sigma)
     poses = _add_lasting(poses, rows, agents, (lasting, np.where(cut, size_sigma[track] / 2, 0.0)))
     found = {
         "states": poses.states,

@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 
-from benchmarks.tracking.cases import DetectorErrors
+from benchmarks.tracking.cases import DetectorErrors, make_case_of
 from geoaim.base.errors import TracksError
 from geoaim.base.geometry import wrap_angle
 from geoaim.base.world import World
 from geoaim.mapping.video.detections import DetectedBoxes
+from geoaim.mapping.video.telemetry import make_telemetry
 from geoaim.tracking import track_boxes
 from geoaim.tracking.ground_detections import place_boxes
 from geoaim.tracking.noise import estimate_noise
+from geoaim.tracking.roofs import describe_roofs
 from geoaim.tracking.standing import Directions
 from tests.tracking.paths import (
     ERRORS,
@@ -191,6 +193,36 @@ def test_errors_of_boxes_that_last_are_stated():
         error = found.states[pair(truth, found), :, :2] - truth.states[:, :, :2]
         inside = (error**2).sum(axis=2) < 5.99 * found.uncertainty[pair(truth, found), :, 0] ** 2
         assert 0.85 < inside.mean() <= 1.0
+
+
+def test_roofs_are_corrected_by_the_flying_height_and_what_is_left_is_stated():
+    truth = make_truth(
+        drive_straight(8, 8, 0.0, 6.0), drive_straight(70, 52, np.pi, 9.0), kinds=("car", "truck")
+    )
+    case = make_case_of(
+        "",
+        truth,
+        np.tile(WORLD_FROM_FRAME, (100, 1, 1)),
+        SIZE,
+        DetectorErrors(0.0, 0.0, 1.0, flying_height=60.0),
+        np.random.default_rng(0),
+    )
+    given = case.boxes, case.world_from_frame, truth.times, truth.world, SIZE
+    errors, stated = [], []
+    for height in (None, 60.0):
+        found = track_boxes(*given, flying_height=height)
+        error = found.states[pair(truth, found)] - truth.states
+        errors.append(np.nanmean(np.hypot(error[..., 0], error[..., 1]), axis=1))
+        stated.append(np.nanmin(found.uncertainty[pair(truth, found), :, 0], axis=1))
+    assert (errors[1] < 0.5 * errors[0]).all()
+    assert (errors[1] < 2.45 * stated[1]).all()
+
+
+def test_roofs_that_are_not_corrected_are_told():
+    row = {"latitude": 50.0, "longitude": 10.0, "height": 80.0}
+    text = describe_roofs(None, make_telemetry([0.0], [row], ""))
+    assert "not corrected" in text
+    assert "80 m above take-off" in text
 
 
 def test_standing_vehicles_have_the_heading_of_a_lane_or_none(junction):
