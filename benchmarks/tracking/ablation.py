@@ -57,8 +57,12 @@ CHANGES: Mapping[str, list[Change]] = {
     "cut boxes as any others": [("ground_detections", "BORDER_PX", -1e9)],
     "gaps of 2 s as the frames come": [("association", "MAX_GAP_S", 2.0)],
     "tracks not joined": [
-        ("states", "join_tracks", lambda motion, rows, types, d, t: np.arange(len(types)))
+        ("states", "join_tracks", lambda motion, rows, types, *_: np.arange(len(types)))
     ],
+    "false ends of tracks kept": [
+        ("states", "find_false_ends", lambda m, rows, d, sigma, t: np.zeros(len(sigma), bool))
+    ],
+    "one way to go on for what is lost": [("joining", "JOIN_NOISE", ((6.0, 6.0),))],
     "sizes and types not compared": [
         ("association", "MAX_SIZE_COST", 0.0),
         ("association", "TYPE_COST", 0.0),

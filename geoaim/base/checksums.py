@@ -7,11 +7,13 @@ a damaged one.
 """
 
 import hashlib
+import mmap as maps
 import os
 import re
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
-from mmap import ACCESS_READ, mmap
+from mmap import ACCESS_READ, PAGESIZE, mmap
 from pathlib import Path
 
 from geoaim.base.errors import GeoaimError, warn
@@ -19,6 +21,7 @@ from geoaim.base.limits import check_regular
 
 MARK = b"geoaim-sha256:"
 ZEROS = b"0" * 64
+PART_BYTES = 2**24
 PLACEHOLDER = f"{MARK.decode()}{0:012d}:{0:08x}:{0:08x}:{0:064x}"
 PATTERN = re.compile(MARK + rb"(\d{12}):([0-9a-f]{8}):([0-9a-f]{8}):([0-9a-f]{64})")
 
@@ -38,14 +41,14 @@ class FileFormat:
 def write_checksum(path: Path) -> None:
     """Replace the `PLACEHOLDER` that a complete file contains, once, by its checksum."""
     with path.open("r+b") as file, mmap(file.fileno(), 0) as data:
-        start = data.find(PLACEHOLDER.encode())
+        start = data.rfind(PLACEHOLDER.encode())  # most often in the last part
         size = b"%012d" % len(data)
         head = (
             MARK + size + b":%08x:%08x:" % (zlib.crc32(size), _crc_of_start(data, start, len(data)))
         )
         data[start : start + len(head)] = head
         start += len(head)
-        data[start : start + len(ZEROS)] = hashlib.sha256(data).hexdigest().encode()
+        data[start : start + len(ZEROS)] = _hash(data, start)
 
 
 def verify_checksum(path: str | os.PathLike[str], file_format: FileFormat) -> bool:
@@ -108,15 +111,29 @@ def check_version(
 def _crc_of_start(data: mmap, start: int, size: int) -> int:
     """CRC-32 of what comes before the checksum and of an eighth of what follows it."""
     after = start + len(PLACEHOLDER)
-    with memoryview(data) as view:
-        return zlib.crc32(view[after : after + (size - start) // 8], zlib.crc32(view[:start]))
+    crc = 0
+    for begin, end in ((0, start), (after, min(after + (size - start) // 8, len(data)))):
+        for part in _read_parts(data, begin, end):
+            crc = zlib.crc32(part, crc)
+    return crc
 
 
 def _hash(data: mmap, start: int) -> bytes:
     """SHA-256 of a file as if its checksum, from `start` on, were zeros."""
     digest = hashlib.sha256()
-    with memoryview(data) as view:
-        digest.update(view[:start])
-        digest.update(ZEROS)
-        digest.update(view[start + len(ZEROS) :])
+    for part in _read_parts(data, 0, start):
+        digest.update(part)
+    digest.update(ZEROS)
+    for part in _read_parts(data, start + len(ZEROS), len(data)):
+        digest.update(part)
     return digest.hexdigest().encode()
+
+
+def _read_parts(data: mmap, begin: int, end: int) -> Iterator[bytes]:
+    """Read a part of a file piece by piece; what was read leaves the memory of this process."""
+    for start in range(begin, end, PART_BYTES):
+        stop = min(start + PART_BYTES, end)
+        yield data[start:stop]
+        if hasattr(data, "madvise"):  # not on Windows
+            page = start - start % PAGESIZE
+            data.madvise(maps.MADV_DONTNEED, page, stop - page)

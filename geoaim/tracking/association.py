@@ -80,7 +80,7 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
     cut = detections.may_be_cut
     usual_dt = float(times[1] - times[0]) if len(times) > 1 else 0.0
     needed = MIN_SLOW_HITS if usual_dt > SLOW_DT else MIN_HITS
-    max_gap = max(MAX_GAP_S, MAX_GAP_STEPS * usual_dt)
+    max_gap = find_max_gap(usual_dt)
     bounds = np.searchsorted(detections.step, np.arange(len(times) + 1))
     active = _describe(detections, np.empty(0, int), sigma, outward, 0.0)
     noise, least_score = DEFAULT_NOISE_PX, 0.0
@@ -117,6 +117,11 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
     number = np.where(counted, np.cumsum(counted) - 1, -1)
     track = np.where(track >= 0, np.append(number, -1)[track], -1)
     return Tracklets(track, confirmed[counted], sigma)
+
+
+def find_max_gap(usual_dt: float) -> float:
+    """Find how long a track may be missed as the frames come, by the time between these, s."""
+    return max(MAX_GAP_S, MAX_GAP_STEPS * usual_dt)
 
 
 def _describe(

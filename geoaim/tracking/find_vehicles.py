@@ -1,7 +1,5 @@
 """Vehicles without a detector: what differs from the map in registered frames."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
@@ -17,7 +15,6 @@ from geoaim.tracking.background_difference import Ground, find_foreground, learn
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_grid import GroundGrid, make_grid
 from geoaim.tracking.vehicle_shapes import find_shapes
-from geoaim.tracks.changes import cut_tracks
 from geoaim.tracks.tracks import Tracks
 
 LEARNING_FRAMES = 30  # spread over the video, by which the ground's noise and shadows are learnt
@@ -108,7 +105,7 @@ def finish_tracks(tracks: Tracks) -> Tracks:
     does not remove them.
 
     Args:
-        tracks: of what `find_vehicles` found, with whether each state was seen.
+        tracks: of what `find_vehicles` found, each present at some time.
 
     Returns:
         The tracks of the others.
@@ -116,23 +113,34 @@ def finish_tracks(tracks: Tracks) -> Tracks:
     Raises:
         TracksError: none is left.
     """
-    seen = tracks.present if tracks.seen is None else tracks.seen & tracks.present
-    often = seen.sum(axis=1) > MIN_SEEN * tracks.present.sum(axis=1)
-    places = np.where(tracks.present[..., None], tracks.states[..., :2], np.nan)
-    extent = np.hypot(*(np.nanmax(places, axis=1) - np.nanmin(places, axis=1)).T)
+    agent = np.nonzero(tracks.present)[0]
+    states, seen = tracks.get_rows("states"), tracks.get_rows("seen")
+    first = np.flatnonzero(np.diff(agent, prepend=-1))  # rows are by agent
+    places = states[:, :2]
+    extent = np.hypot(*(np.maximum.reduceat(places, first) - np.minimum.reduceat(places, first)).T)
+    often = np.ones(len(first), bool)
+    if seen is not None:
+        often = np.add.reduceat(seen.astype(int), first) > MIN_SEEN * np.bincount(agent)
     kept = often & ((tracks.sizes.prod(axis=1) > MIN_VEHICLE_M2) | (extent > MIN_PATH_M))
     if not kept.any():
         raise TracksError(
             f"{len(kept)} tracks are found, all of small pieces that stay where they are, or of "
             "what is seldom seen; vehicles that move are needed, or boxes (--detections)"
         )
-    uncertainty = tracks.uncertainty
-    if uncertainty is not None:
-        middle = np.hypot(uncertainty[..., :1], SHAPE_SIGMA_M)
-        uncertainty = np.concatenate([middle, uncertainty[..., 1:]], axis=2)
-    present = tracks.present & kept[:, None]
-    start, end = float(tracks.times[0]), float(tracks.times[-1])
-    return cut_tracks(replace(tracks, present=present, uncertainty=uncertainty), start, end - start)
+    chosen, numbers = kept[agent], np.flatnonzero(kept)
+    rows = {name: tracks.get_rows(name) for name in ("states", "observed", "seen", "uncertainty")}
+    rows = {name: values[chosen] for name, values in rows.items() if values is not None}
+    if "uncertainty" in rows:
+        rows["uncertainty"][:, 0] = np.hypot(rows["uncertainty"][:, 0], SHAPE_SIGMA_M)
+    return Tracks.from_rows(
+        tracks.present[numbers],
+        rows,
+        times=tracks.times,
+        sizes=tracks.sizes[numbers],
+        types=tuple(tracks.types[number] for number in numbers),
+        ids=tuple(tracks.ids[number] for number in numbers),
+        world=tracks.world,
+    )
 
 
 def _learn(

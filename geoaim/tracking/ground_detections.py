@@ -11,6 +11,7 @@ from geoaim.base.geometry import transform_points
 from geoaim.mapping.video.detections import DetectedBoxes
 
 BORDER_PX = 8.0  # a box that ends this near to the frame's border may be cut off by it
+FRAMES_AT_ONCE = 1000
 MID_SIDES = np.array([[0.0, 0.5], [1.0, 0.5], [0.5, 0.0], [0.5, 1.0]])  # of a box: ends of its axes
 # of the corners of a box, those at the start and the end of each side
 END_CORNERS = np.array([[[0, 3], [1, 2]], [[0, 1], [2, 3]]])
@@ -68,7 +69,23 @@ def place_boxes(
         for step, (boxes, matrix) in enumerate(zip(frames, world_from_frame, strict=True))
         if boxes is not None and np.isfinite(matrix).all()
     ] or [(0, DetectedBoxes(np.empty((0, 4))))]
-    # all frames at once, since small arrays of each would stay in memory
+    # many frames at once, since small arrays of each would stay in memory, and all at once fill it
+    parts = [
+        _place(known[begin : begin + FRAMES_AT_ONCE], world_from_frame, size)
+        for begin in range(0, len(known), FRAMES_AT_ONCE)
+    ]
+    names = GroundDetections.__dataclass_fields__
+    return GroundDetections(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    )
+
+
+def _place(
+    known: list[tuple[int, DetectedBoxes]],
+    world_from_frame: Float[Array, "T 3 3"],
+    size: tuple[int, int],
+) -> GroundDetections:
+    """Place the boxes of frames, by their numbers, on the ground."""
     counts = [len(boxes.boxes) for _, boxes in known]
     step = np.repeat([number for number, _ in known], counts)
     oriented = np.repeat([boxes.corners is not None for _, boxes in known], counts)

@@ -8,18 +8,61 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from geoaim.tracking.ground_detections import GroundDetections
+from geoaim.tracking.association import MIN_HITS, find_max_gap
+from geoaim.tracking.ground_detections import GroundDetections, select_detections
 from geoaim.tracking.kalman import TrackMotion, TrackRows, predict
+from geoaim.tracking.noise import SLOW_DT
 from geoaim.tracks.agent_types import find_group
 
 MAX_GAP_S = 10.0  # between two tracks of one agent that moves
-JOIN_NOISE = 6.0  # m²/s³; spectral density of the acceleration of an agent that is lost
+# m²/s³; spectral densities of the acceleration of an agent that is lost, along its way and across:
+# it goes on as it was, changes its speed in its lane, or does anything
+JOIN_NOISE = ((0.3, 0.3), (6.0, 0.3), (6.0, 6.0))
 MAX_DISTANCE = 25.0  # squared, in standard deviations
+MAX_END_DISTANCE = 9.0  # the same of an end of a track from what the rest of it tells
 STANDING_SPEED = 0.7  # m/s
 STANDING_SIGMAS = (0.5, 0.7)  # m and m/s, of what stood before and after, for however long
 # minus twice the log of: an end and a start inside the frame; less for each one at the border
 UNJOINED_COST, BORDER_GAIN = 34.0, 8.0
 SIZE_SIGMA, GROUP_COST, TYPE_COST = 0.2, 10.0, 2.0
+
+
+def find_false_ends(
+    motion: TrackMotion,
+    rows: TrackRows,
+    detections: GroundDetections,
+    sigma: Float[Array, "M"],
+    times: Float[Array, "T"],
+) -> Bool[Array, "M"]:
+    """Find first and last detections that lie off where the others of their track tell.
+
+    A false box beside an agent that is lost or found soon after would turn its velocity there, by
+    which the track is joined and its gap is bridged. Inside a track neighbours correct it.
+
+    Args:
+        motion: smoothed motion of the tracks.
+        rows: of the tracks.
+        detections: of the tracks.
+        sigma: standard deviation of each coordinate, m.
+        times: of the frames, s; where they are seldom, agents do not go on straight.
+
+    Returns:
+        Whether each detection is such a one.
+    """
+    false = np.zeros(len(sigma), bool)
+    usual_dt = float(times[1] - times[0]) if len(times) > 1 else np.inf
+    if usual_dt > SLOW_DT:
+        return false
+    long = np.diff(rows.bounds) >= MIN_HITS
+    # of what may return no end is known yet
+    gone = times[-1] - times[rows.step[rows.bounds[1:] - 1]] > find_max_gap(usual_dt)
+    for ends in (rows.bounds[:-1][long], rows.bounds[1:][long & gone] - 1):
+        part = rows.detection[ends]
+        offset = detections.position[part] - motion.mean[ends, 0]
+        # those from a prediction without it, and their variance, follow from the smoothed state
+        variance = np.maximum(sigma[part] ** 2 - motion.covariance[ends, 0, 0], 0)
+        false[part] = (offset**2).sum(axis=1) > MAX_END_DISTANCE * variance
+    return false & ~detections.may_be_cut
 
 
 def join_tracks(
@@ -28,12 +71,13 @@ def join_tracks(
     types: tuple[str, ...],
     detections: GroundDetections,
     times: Float[Array, "T"],
+    false: Bool[Array, "M"],
 ) -> Int[Array, "N"]:
     """Join tracks that end and begin as one agent would, by one optimal assignment.
 
     The cost of a pair is minus twice its log likelihood: how far the later one begins, in place and
-    velocity, from where the earlier one would then be, and how alike their sizes and types are.
-    What stands may be lost for however long.
+    velocity, from where the earlier one would then be, and how alike their sizes and types are. Of
+    several ways to go on, the likeliest counts. What stands may be lost for however long.
 
     Args:
         motion: smoothed motion of the tracks.
@@ -41,6 +85,7 @@ def join_tracks(
         types: of the tracks.
         detections: of the tracks.
         times: of the frames, s.
+        false: detections that do not count: those of `find_false_ends`.
 
     Returns:
         The number of each track's agent, from 0.
@@ -48,18 +93,17 @@ def join_tracks(
     count = len(types)
     if count < 2:
         return np.zeros(count, int)
-    first, last = rows.bounds[:-1], rows.bounds[1:] - 1
+    counted = np.flatnonzero((rows.detection >= 0) & ~false[rows.detection])
+    bounds = np.searchsorted(rows.agent[counted], np.arange(count + 1))
+    first, last = counted[bounds[:-1]], counted[bounds[1:] - 1]
     begin, end = times[rows.step[first]], times[rows.step[last]]
     early, late = _list_pairs(motion, (first, last), begin, end)
     gap = begin[late] - end[early]
     ends, starts = last[early], first[late]
-    mean, covariance = motion.mean[ends], motion.covariance[ends].copy()
-    ahead, spread = predict(mean, covariance, gap, np.full(len(gap), JOIN_NOISE))
-    spread = spread + motion.covariance[starts]
-    cost, distance = _compare(motion.mean[starts] - ahead, spread)
+    cost, distance = _compare_motion(motion, ends, starts, gap)
     stands = _find_standing(motion, ends) & _find_standing(motion, starts)
-    fixed = np.broadcast_to(np.diag(np.square(STANDING_SIGMAS)), spread.shape)
-    resting, near = _compare(motion.mean[starts] - mean, fixed + 2 * motion.covariance[starts])
+    fixed = np.diag(np.square(STANDING_SIGMAS)) + 2 * motion.covariance[starts]
+    resting, near = _compare(motion.mean[starts] - motion.mean[ends], fixed, fixed)
     better = stands & ((resting < cost) | (gap > MAX_GAP_S))
     cost, distance = np.where(better, resting, cost), np.where(better, near, distance)
     side = _measure_sides(detections, rows)
@@ -68,9 +112,10 @@ def join_tracks(
     groups = np.array([find_group(kind) for kind in types])
     cost += change + TYPE_COST * (kinds[early] != kinds[late])
     cost += GROUP_COST * (groups[early] != groups[late])
-    outward = detections.find_outward()
-    left = (motion.mean[ends, 1] * outward[rows.detection[ends]]).sum(axis=1) > STANDING_SPEED
-    came = (motion.mean[starts, 1] * outward[rows.detection[starts]]).sum(axis=1) < -STANDING_SPEED
+    edges = [select_detections(detections, rows.detection[part]) for part in (ends, starts)]
+    outward = [part.find_outward() for part in edges]
+    left = (motion.mean[ends, 1] * outward[0]).sum(axis=1) > STANDING_SPEED
+    came = (motion.mean[starts, 1] * outward[1]).sum(axis=1) < -STANDING_SPEED
     cost -= UNJOINED_COST - BORDER_GAIN * left - BORDER_GAIN * came
     good = (cost < 0) & (distance < MAX_DISTANCE)
     return _number(*_assign(early[good], late[good], cost[good]), count)
@@ -112,12 +157,38 @@ def _find_standing(motion: TrackMotion, rows: Int[Array, " p"]) -> Bool[Array, "
     return np.hypot(*motion.mean[rows, 1].T) < STANDING_SPEED
 
 
-def _compare(
-    offset: Float[Array, "p 2 2"], spread: Float[Array, "p 2 2"]
+def _compare_motion(
+    motion: TrackMotion, ends: Int[Array, " p"], starts: Int[Array, " p"], gap: Float[Array, " p"]
 ) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
-    """Minus twice the log density of offsets in place and velocity; their squared distance."""
-    distance = (offset * np.linalg.solve(spread, offset)).sum(axis=(1, 2))
-    return distance + 2 * np.log(4 * np.pi**2 * np.linalg.det(spread)), distance
+    """Compare where later tracks start with where earlier ones would then be, as `_compare`."""
+    before, after = motion.mean[ends], motion.mean[starts]
+    way = before[:, 1] + after[:, 1]
+    way = way / np.maximum(np.hypot(*way.T), 1e-9)[:, None]
+    turned = np.stack([way, np.column_stack([-way[:, 1], way[:, 0]])], axis=2)
+    found = []
+    for along, across in JOIN_NOISE:
+        spreads = []
+        for noise in (along, across):
+            ahead, spread = predict(before, motion.covariance[ends], gap, np.full(len(gap), noise))
+            spreads.append(spread + motion.covariance[starts])
+        found.append(_compare((after - ahead) @ turned, *spreads))
+    costs, distances = (np.stack(part) for part in zip(*found, strict=True))
+    best = costs.argmin(axis=0)[None]
+    return np.take_along_axis(costs, best, 0)[0], np.take_along_axis(distances, best, 0)[0]
+
+
+def _compare(
+    offset: Float[Array, "p 2 2"], along: Float[Array, "p 2 2"], across: Float[Array, "p 2 2"]
+) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+    """Minus twice the log density of offsets in place and velocity; their squared distance.
+
+    The covariances of both are those of each coordinate.
+    """
+    spread = np.stack([along, across], axis=1)
+    parts = offset.swapaxes(1, 2)[..., None]
+    distance = (parts * np.linalg.solve(spread, parts)).sum(axis=(1, 2, 3))
+    density = np.log(4 * np.pi**2 * np.linalg.det(spread)).sum(axis=1)
+    return distance + density, distance
 
 
 def _measure_sides(detections: GroundDetections, rows: TrackRows) -> Float[Array, "N"]:

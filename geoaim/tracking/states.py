@@ -1,5 +1,7 @@
 """States of agents: associated detections -> smoothed and observed states, sizes and types."""
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
@@ -9,7 +11,7 @@ from geoaim.tracking.association import CUT_SIGMA_M, MIN_HITS, Tracklets
 from geoaim.tracking.cut_boxes import complete_cut_boxes
 from geoaim.tracking.ground_detections import GroundDetections
 from geoaim.tracking.headings import REAR_AXLE_SHARE
-from geoaim.tracking.joining import join_tracks
+from geoaim.tracking.joining import find_false_ends, join_tracks
 from geoaim.tracking.kalman import TrackMotion, TrackRows, filter_tracks, make_rows, smooth_tracks
 from geoaim.tracking.noise import estimate_lasting_noise, estimate_noise
 from geoaim.tracking.poses import Poses, compute_poses, find_standing, observe_states
@@ -26,6 +28,7 @@ from geoaim.tracks.tracks import Tracks
 
 MIN_WHOLE_BOXES = 5  # that tell a size; fewer may be of something else
 MAX_TURN_SINE = 0.2  # of agents whose extents tell errors of boxes
+ENOUGH_BOXES = 100_000  # that tell them
 LASTING_TURN = 0.6  # share of a lasting error that changes while the rear axle is pulled along
 COMPLETED_SIGMA_M = 0.2  # of one that has been completed by the agent's size
 
@@ -55,23 +58,23 @@ def make_states(
         The tracks, from each agent's first detection to its last.
     """
     rows, track, observed = _observe(detections, tracklets, times, lanes)
-    at = np.empty(len(track), int)  # the row of each detection
+    at = np.zeros(len(track), int)  # the row of each detection; any of one that is left out
     at[rows.detection[rows.detection >= 0]] = np.flatnonzero(rows.detection >= 0)
     noise = estimate_noise(detections, track, times)
     sigma = noise * detections.resolution
     cut = detections.may_be_cut
     seen = _list_detections(rows)
     agents = _describe_agents(detections, seen)
-    first = np.where(cut, CUT_SIGMA_M, sigma)
-    smoothed = _smooth(detections.position, first, rows, times, agents)
+    smoothed = _smooth(detections.position, np.where(cut, CUT_SIGMA_M, sigma), rows, times, agents)
     heading = compute_poses(smoothed, rows, agents, detections, None).states[at, 2]
     agents = _describe_agents(detections, seen, heading - detections.axis)
     agents, size_sigma = _estimate_sizes(agents, heading, detections, seen, sigma)
     heading = compute_poses(smoothed, rows, agents, detections, lanes).states[at, 2]
     position = complete_cut_boxes(detections, track, heading, agents.sizes)
-    second = np.where(cut, np.hypot(COMPLETED_SIGMA_M, sigma), sigma)
-    del smoothed  # what long videos would fill the memory with
-    again = _smooth(position, second, rows, times, agents)
+    sigma = np.where(cut, np.hypot(COMPLETED_SIGMA_M, sigma), sigma)
+    del smoothed, heading  # what long videos would fill the memory with
+    again = _smooth(position, sigma, rows, times, agents)
+    del position, sigma
     poses = compute_poses(again, rows, agents, detections, lanes)
     del again
     lasting = _measure_lasting(detections, agents.sizes[track], poses.states[at, 2], noise)
@@ -104,6 +107,7 @@ def _observe(
     """What was known as the frames came, in rows of joined tracks, with each detection's agent.
 
     From a track's confirmation on, its type, size and first heading stay those of its first boxes.
+    False boxes where tracks are joined belong to none, -1.
     """
     rows = make_rows(tracklets.track, detections.step)
     seen = _list_detections(rows)
@@ -125,12 +129,18 @@ def _observe(
     observed[rows.step < tracklets.confirmed[rows.agent]] = np.nan
     smoothed = smooth_tracks(times, rows, filtered, noise)
     types = _describe_agents(detections, seen).types
-    agent = join_tracks(smoothed, rows, types, detections, times)
+    false = find_false_ends(smoothed, rows, detections, tracklets.sigma, times)
+    agent = join_tracks(smoothed, rows, types, detections, times, false)
     joined = make_rows(agent[tracklets.track], detections.step)
     placed = np.full((len(joined.step), 4), np.nan)
     start = joined.bounds[agent[rows.agent]]
-    placed[start + rows.step - joined.step[start]] = observed
-    return joined, agent[tracklets.track], placed
+    known = np.isfinite(observed[:, 0])
+    placed[(start + rows.step - joined.step[start])[known]] = observed[known]
+    # an agent's own first and last detection stay: what comes after might tell that they are right
+    false[joined.detection[np.concatenate([joined.bounds[:-1], joined.bounds[1:] - 1])]] = False
+    used = np.where((joined.detection >= 0) & ~false[joined.detection], joined.detection, -1)
+    track = np.where(false, -1, agent[tracklets.track])
+    return replace(joined, detection=used), track, placed
 
 
 def _list_detections(rows: TrackRows) -> list[Int[Array, "_"]]:
@@ -197,15 +207,16 @@ def _measure_lasting(
     noise: float,
 ) -> Float[Array, "M"]:
     """Measure errors of the middles that last, by how extents scatter about what they should be."""
-    turn = headings - detections.axis
+    whole = np.flatnonzero(~detections.may_be_cut)
+    whole = whole[:: len(whole) // ENOUGH_BOXES + 1]
+    turn = headings[whole] - detections.axis[whole]
     cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-    length, width = sizes.T
+    length, width = sizes[whole].T
     should = np.column_stack([cosine * length + sine * width, sine * length + cosine * width])
     # of a turned agent the extents scatter by its heading too
-    usable = ~detections.may_be_cut & (np.minimum(cosine, sine) < MAX_TURN_SINE)
-    lasting = estimate_lasting_noise(
-        (detections.extent - should)[usable], detections.resolution[usable], noise
-    )
+    straight = np.minimum(cosine, sine) < MAX_TURN_SINE
+    residual = (detections.extent[whole] - should)[straight]
+    lasting = estimate_lasting_noise(residual, detections.resolution[whole[straight]], noise)
     return lasting * detections.resolution
 
 

@@ -20,6 +20,7 @@ import json
 import os
 import warnings
 from collections.abc import Iterable
+from contextlib import ExitStack
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
@@ -28,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import pandas as pd
 import shapely
-from jaxtyping import Float, Shaped
+from jaxtyping import Float
 from numpy import ndarray as Array
 from pyproj import CRS
 
@@ -62,6 +63,8 @@ from geoaim.tracks.tracks import (
     UNCERTAINTY_COLUMNS,
     Tracks,
 )
+
+PART_ROWS = 50_000  # rows that are written at a time
 
 if TYPE_CHECKING:
     from pyarrow import DataType
@@ -106,7 +109,7 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
         raise TracksError(f"{path}: times are {dt:.1g} s apart; {suffix} needs {min_dt:g} s")
     write = _write_csv if suffix == ".csv" else _write_parquet
     with atomic_write(path) as temporary:
-        write(tracks.to_dataframe(), tracks.world, temporary)
+        write(tracks, temporary)
 
 
 def read_plain_tracks(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:
@@ -212,16 +215,18 @@ def _read_csv(path: Path, world: World | None) -> tuple[pd.DataFrame, World]:
     return frame, world
 
 
-def _write_csv(frame: pd.DataFrame, world: World, path: Path) -> None:
+def _write_csv(tracks: Tracks, path: Path) -> None:
+    has_breaks = any("\r" in text for text in (*tracks.ids, *tracks.types))
+    quoting: Literal[0, 2] = csv.QUOTE_NONNUMERIC if has_breaks else csv.QUOTE_MINIMAL
     with open(path, "w", encoding="utf-8", newline="") as file:
-        file.write(f"{format_world(world)}# format: {CSV.newest}\n")
-        frame = frame.assign(id=mark_formulas(frame["id"]), type=mark_formulas(frame["type"]))
-        for name, decimals in CSV_DECIMALS.items():
-            if name in frame:
-                frame[name] = frame[name].round(decimals) + 0.0  # turns -0.0 into 0.0
-        has_breaks = frame[["id", "type"]].stack().str.contains("\r").any()
-        quoting: Literal[0, 2] = csv.QUOTE_NONNUMERIC if has_breaks else csv.QUOTE_MINIMAL
-        frame.to_csv(file, index=False, lineterminator="\n", quoting=quoting)
+        file.write(f"{format_world(tracks.world)}# format: {CSV.newest}\n")
+        for number, part in enumerate(tracks.iterate_dataframes(PART_ROWS)):
+            frame = part.assign(id=mark_formulas(part["id"]), type=mark_formulas(part["type"]))
+            for name, decimals in CSV_DECIMALS.items():
+                if name in frame:
+                    frame[name] = frame[name].round(decimals) + 0.0  # turns -0.0 into 0.0
+            header = number == 0
+            frame.to_csv(file, index=False, header=header, lineterminator="\n", quoting=quoting)
 
 
 def open_parquet(path: str | os.PathLike[str]) -> "ParquetFile":
@@ -339,28 +344,37 @@ def _read_parquet(path: Path, world: World | None) -> tuple[pd.DataFrame, World]
     return table, own
 
 
-def _write_parquet(frame: pd.DataFrame, world: World, path: Path) -> None:
+def _write_parquet(tracks: Tracks, path: Path) -> None:
     import pyarrow
     import pyarrow.parquet as parquet
 
-    table = pyarrow.Table.from_pandas(frame, preserve_index=False)
+    world = tracks.world
     stated = {"crs": world.crs or LOCAL_CRS, "origin": world.origin, "format": PARQUET.newest}
     metadata = {METADATA_KEY: json.dumps(stated), b"geoaim_checksum": PLACEHOLDER}
-    points = shapely.points(frame[["x", "y"]].to_numpy() + world.origin)
-    metadata[b"geo"] = json.dumps(_describe_geometry(points, world))
-    metadata = {**(table.schema.metadata or {}), **metadata}
-    table = table.append_column(GEOMETRY, pyarrow.array(shapely.to_wkb(points), pyarrow.binary()))
-    parquet.write_table(table.replace_schema_metadata(metadata), path)
+    places = tracks.get_rows("states")[:, :2]
+    metadata[b"geo"] = json.dumps(_describe_geometry(places, world))
+    with ExitStack() as opened:
+        writer = None
+        for frame in tracks.iterate_dataframes(PART_ROWS):
+            table = pyarrow.Table.from_pandas(frame, preserve_index=False)
+            points = shapely.to_wkb(shapely.points(frame[["x", "y"]].to_numpy() + world.origin))
+            table = table.append_column(GEOMETRY, pyarrow.array(points, pyarrow.binary()))
+            if writer is None:
+                metadata = {**(table.schema.metadata or {}), **metadata}
+                schema = table.schema.with_metadata(metadata)
+                writer = opened.enter_context(parquet.ParquetWriter(path, schema))
+            writer.write_table(table.replace_schema_metadata(metadata))
     write_checksum(path)
 
 
-def _describe_geometry(points: Shaped[Array, "m"], world: World) -> dict[str, Any]:
+def _describe_geometry(places: Float[Array, "m 2"], world: World) -> dict[str, Any]:
     """The metadata of GeoParquet 1.1.0 (geoparquet.org): what the column of points holds."""
+    bounds = np.concatenate([places.min(axis=0), places.max(axis=0)]) + np.tile(world.origin, 2)
     column = {
         "encoding": "WKB",
         "geometry_types": ["Point"],
         "crs": None if world.crs is None else parse_crs(world.crs).to_json_dict(),
-        "bbox": shapely.total_bounds(points).tolist(),
+        "bbox": bounds.tolist(),
     }
     return {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
 

@@ -4,7 +4,7 @@ Speeds and headings that a file does not state are computed in `formats.motion`.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -159,18 +159,33 @@ class Tracks(Display):
         Tracks that state them have the columns `OBSERVED_COLUMNS`, `SEEN_COLUMN` and
         `UNCERTAINTY_COLUMNS` too.
         """
-        agent, step = np.nonzero(self.present)
-        values = np.column_stack([self.times[step], self.get_rows("states"), self.sizes[agent]])
-        frame = pd.DataFrame(values, columns=list(COLUMNS[2:]))
-        frame.insert(0, "id", np.array(self.ids, object)[agent])
-        frame.insert(1, "type", np.array(self.types, object)[agent])
-        if (observed := self.get_rows("observed")) is not None:
-            frame[list(OBSERVED_COLUMNS)] = observed
-        if (seen := self.get_rows("seen")) is not None:
-            frame[SEEN_COLUMN] = seen.astype(int)
-        if (uncertainty := self.get_rows("uncertainty")) is not None:
-            frame[list(UNCERTAINTY_COLUMNS)] = uncertainty
-        return frame
+        return next(self.iterate_dataframes(None))
+
+    def iterate_dataframes(self, size: int | None) -> Iterator[pd.DataFrame]:
+        """Make the table of `to_dataframe` in parts of so many rows, since long ones fill memory.
+
+        Args:
+            size: rows of each part, but of the last; None: one part of all.
+
+        Yields:
+            The parts.
+        """
+        agents, steps = np.nonzero(self.present)
+        for begin in range(0, max(len(agents), 1), size or max(len(agents), 1)):
+            part = slice(begin, None if size is None else begin + size)
+            agent, step = agents[part], steps[part]
+            states = self.get_rows("states")[part]
+            values = np.column_stack([self.times[step], states, self.sizes[agent]])
+            frame = pd.DataFrame(values, columns=list(COLUMNS[2:]))
+            frame.insert(0, "id", np.array(self.ids, object)[agent])
+            frame.insert(1, "type", np.array(self.types, object)[agent])
+            if (observed := self.get_rows("observed")) is not None:
+                frame[list(OBSERVED_COLUMNS)] = observed[part]
+            if (seen := self.get_rows("seen")) is not None:
+                frame[SEEN_COLUMN] = seen[part].astype(int)
+            if (uncertainty := self.get_rows("uncertainty")) is not None:
+                frame[list(UNCERTAINTY_COLUMNS)] = uncertainty[part]
+            yield frame
 
     def to_geodataframe(self, start: "str | datetime | None" = None) -> "GeoDataFrame":
         """Make a table of geopandas: that of `to_dataframe`, with points in the CRS of the world.

@@ -14,6 +14,7 @@ from geoaim.tracking.noise import estimate_noise
 from geoaim.tracking.standing import Directions
 from tests.tracking.paths import (
     ERRORS,
+    RATE,
     SIZE,
     WORLD_FROM_FRAME,
     detect,
@@ -122,6 +123,44 @@ def test_what_is_lost_for_long_stays_one_agent(speed):
     assert len(found.ids) == 2
     assert not found.seen[:, 60:140].any()
     assert np.isnan(found.observed[:, 120:140]).all()
+
+
+def test_two_that_stood_on_opposite_lanes_are_not_swapped():
+    def start_at_green(x, y, heading, acceleration):
+        states = drive_straight(x, y, heading, 0.0, steps=200)
+        states[:, 3] = acceleration * np.maximum(np.arange(200) / RATE - 3.3, 0)
+        states[:, 0] += np.cos(heading) * np.cumsum(states[:, 3]) / RATE
+        return states
+
+    def hide(frames):
+        lost = (range(36, 136), range(50, 150))  # of the westbound car, and the eastbound one
+        kept = []
+        for step, frame in enumerate(frames):
+            eastbound = (frame.boxes[:, 1] > 520).astype(int)
+            seen = np.array([step not in lost[lane] for lane in eastbound], bool)
+            kept.append(DetectedBoxes(frame.boxes[seen], types=("car",) * seen.sum()))
+        return kept
+
+    truth = make_truth(start_at_green(30, 30, 0.0, 3.4), start_at_green(23.4, 36.6, np.pi, 3.0))
+    found = track(truth, DetectorErrors(0.0, 0.0, 1.0), change=hide)
+    assert len(found.ids) == 2
+    assert np.nanmax(np.nanmax(found.states[..., 1], 1) - np.nanmin(found.states[..., 1], 1)) < 0.5
+
+
+def test_a_false_box_does_not_bend_the_gap_after_it():
+    truth = make_truth(drive_straight(5, 30, 0.0, 8.0, steps=200))
+
+    def hide(frames):
+        empty = DetectedBoxes(np.empty((0, 4)))
+        shown = [empty if 50 <= step < 150 else frame for step, frame in enumerate(frames)]
+        shown[52] = DetectedBoxes(np.add(frames[49].boxes, [11, 9, 11, 9]), types=("car",))
+        return shown
+
+    found = track(truth, DetectorErrors(0.0, 0.0, 1.0), change=hide)
+    assert len(found.ids) == 1
+    assert not found.seen[0, 50:150].any()
+    error = found.states[0, 50:150, :2] - truth.states[0, 50:150, :2]
+    assert np.hypot(*error.T).max() < 0.5
 
 
 def test_a_car_that_drives_askew_is_a_car_without_a_detectors_types():
