@@ -35,6 +35,7 @@ CLOSED_LOOP: Places = (
     *((851, "junction"), (852, "t"), (853, "street"), (854, "roundabout")),
     *((855, "junction"), (856, "roundabout"), (857, "campus"), (858, "t")),
     *((861, "street"), (862, "roundabout"), (863, "campus"), (864, "junction")),
+    *((865, "roundabout"), (866, "roundabout")),
 )
 STEPS, LEARNING_RATE, WARMUP_STEPS = 1800, 5e-4, 20
 HISTORY, CHUNK_STEPS, CHUNKS, SAMPLES = MAX_HISTORY_STEPS, 40, 4, 2
@@ -86,9 +87,9 @@ def make_closed_loop(model: ITRA, folder: Path, progress: Progress, seed: int = 
     path = folder / "model.pt"
     if not path.exists():
         places = []
-        for number, (seed, kind) in enumerate(CLOSED_LOOP):
+        for number, (place, kind) in enumerate(CLOSED_LOOP):
             progress("closed loop, places", number, len(CLOSED_LOOP))
-            scene, _ = make_drawn_scene(kind, seed)
+            scene, _ = make_drawn_scene(kind, place)
             segments = cut_moving_and_parked(scene, model.config, SEGMENT_STEPS)
             ground = prefilter_ground(scene.ground, model.config.resolution)
             places.append(_Place(scene, ground, segments))

@@ -134,12 +134,13 @@ def evaluate_on_map(
     return parts
 
 
-def evaluate_scene(
+def evaluate_scene(  # noqa: PLR0913  (the scene, and how it is cut)
     predictor: Predictor,
     scene: Scene,
     config: Config,
     *,
     stride: int,
+    steps: int | None = None,
     lights: bool = True,
     rules: RoadRules = NO_ROAD_RULES,
 ) -> list[dict[str, Metric]]:
@@ -150,13 +151,14 @@ def evaluate_scene(
         scene: the ground truth.
         config: agent group and resolution.
         stride: steps from one segment's start to the next.
+        steps: of each segment; None: as in training.
         lights: whether the predictor gets the lights' states.
         rules: road rules (where vehicles may drive).
 
     Returns:
         Metrics; an empty list where no agent of the group is present for long enough.
     """
-    steps = SEGMENT_STEPS[config.kind]
+    steps = steps or SEGMENT_STEPS[config.kind]
     try:
         segments = cut_segments(scene, config.kind, steps=steps, stride=stride, joint=True)
     except TracksError:

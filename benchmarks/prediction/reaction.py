@@ -2,7 +2,8 @@
 
     python -m benchmarks.prediction reaction
 
-A follower is a recorded vehicle. Its leader is put on the follower's own path, and both are alone.
+A follower is a recorded vehicle. Its leader is put on the follower's own path, or somebody crosses
+that path, or a light on it turns red; nobody else is there.
 The sample is seed 1. Places of `VAL` are for choices (`reaction_validation`), those of `TEST` for
 the one test; no model is trained on either.
 """
@@ -22,31 +23,39 @@ from benchmarks.prediction.places import Places, make_drawn_scene
 from benchmarks.prediction.results import Workspace
 from benchmarks.results import describe_machine, write_json
 from geoaim.base.files import atomic_files
+from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.checkpoints import read_model, read_pretrained
-from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
+from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.cutting import cut_scene, cut_segments
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import compute_ade
 from geoaim.prediction.policies import ITRAPolicy
-from geoaim.prediction.segments import VEHICLE, Segments, make_segment_scenario, pick
+from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments, make_segment_scenario, pick
 from geoaim.rendering.ground import Ground
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.rendering.scene import Scene, slice_scene
 from geoaim.simulation.episodes import simulate_scene
 from geoaim.simulation.idm import make_idm_policy
+from geoaim.simulation.infractions import detect_red_light_running
 from geoaim.simulation.overlap import compute_box_distance
 from geoaim.simulation.road_rules import RoadRules
 from geoaim.simulation.routes import extract_routes
 from geoaim.simulation.scene_infractions import detect_infractions
 from geoaim.simulation.simulator import apply_rollout, rollout
+from geoaim.tracks.lights import GREEN, RED
 
 SAMPLE: Places = ((1, "junction"),)
-VAL: Places = ((811, "junction"), (812, "t"), (813, "street"), (814, "roundabout"))
-TEST: Places = ((841, "junction"), (842, "t"), (843, "street"), (844, "roundabout"))
+VAL: Places = (
+    *((811, "junction"), (812, "t"), (813, "street"), (814, "roundabout"), (871, "junction")),
+    *((872, "t"), (873, "street"), (874, "roundabout"), (875, "junction"), (876, "street")),
+)
+TEST: Places = ((881, "junction"), (882, "t"), (883, "street"), (884, "roundabout"))
 HISTORY, PREDICTED, FUTURES = MAX_HISTORY_STEPS, 60, 6  # steps of 0.1 s; futures of each case
 MAX_CASES = 24  # followers of each place
 MIN_SPEED_MPS, MIN_WAY = 5.0, 0.7  # of followers; their recorded way, as a share of speed x time
 LEADER_SIZE_M = (4.5, 1.9)
+HORIZONS_S = (3, 5, 8)
+NOISY = "constant velocity with noise"
 CLOSED_STEPS = 200  # for which all vehicles are driven
 HARD_MPS2 = 4.0  # harder braking is counted
 Driver = Callable[[Segments], Float[Tensor, "B K N T 4"]]
@@ -63,13 +72,29 @@ class Situation:
     aside: float = 0.0  # m to the left, from where it moves onto the path within `CUT_IN_S`
 
 
+@dataclass(frozen=True)
+class Crossing:
+    """Somebody who crosses from the right, at even speed, where a stop needs `STOP_MPS2`.
+
+    They are in the middle of the follower's path when its front would get there.
+    """
+
+    speed: float  # m/s
+    size: tuple[float, float]  # length and width, metres
+    layer: int  # as in segments
+
+
 STOP_MPS2, CUT_IN_S = 3.0, 1.5
-FREE = "no leader"
-SITUATIONS = {
+FREE, LIGHT = "no leader", "light turns red"  # as the future begins; a stop needs `STOP_MPS2`
+LIGHT_WIDTH_M = 3.5
+SITUATIONS: Mapping[str, Situation | Crossing | None] = {
     "brakes, headway 1.5 s": Situation(1.5, braking=4.0),
     "brakes, headway 2.5 s": Situation(2.5, braking=4.0),
     "stands": Situation(None, speed=0.0),
     "cuts in": Situation(1.0, speed=0.7, aside=3.2),
+    "vehicle crosses": Crossing(8.0, LEADER_SIZE_M, VEHICLE),
+    "pedestrian crosses": Crossing(1.4, (0.5, 0.6), PEDESTRIAN),
+    LIGHT: None,
 }
 
 
@@ -141,35 +166,74 @@ def find_followers(scene: Scene) -> Segments:
     return replace(some, **taken, ids=())
 
 
-def add_leader(followers: Segments, situation: Situation) -> Segments:
-    """Put a leader on the recorded path of each follower, which goes straight on beyond its end."""
+def put_in(followers: Segments, situation: Situation | Crossing | None) -> Segments:
+    """Put a leader or somebody who crosses before each follower, or with None a light."""
     states, dt = followers.states[:, 0].numpy(), followers.dt
-    leaders = []
-    for states_, size in zip(states, followers.sizes[:, 0].numpy(), strict=True):
-        speed = float(states_[HISTORY - 1, 3])
-        if situation.headway is None:
-            gap = speed**2 / (2 * STOP_MPS2)
+    placed = []
+    for path, (length, _) in zip(states, followers.sizes[:, 0].numpy(), strict=True):
+        speed = float(path[HISTORY - 1, 3])
+        gap = speed**2 / (2 * STOP_MPS2)
+        if isinstance(situation, Situation):
+            if situation.headway is not None:
+                gap = situation.headway * speed
+            gap += (length + LEADER_SIZE_M[0]) / 2
+            placed.append(_drive_along(path, gap, speed * situation.speed, situation, dt))
+        elif situation is not None:
+            place = _locate(path, gap + (length + situation.size[1]) / 2)
+            placed.append(_cross(place, situation, gap / speed, dt, len(path)))
         else:
-            gap = situation.headway * speed
-        gap += (size[0] + LEADER_SIZE_M[0]) / 2
-        leaders.append(_drive_along(states_, gap, speed * situation.speed, situation, dt))
-    leader = torch.tensor(np.array(leaders)).to(followers.states)[:, None]
+            x, y, heading = _locate(path, gap + length / 2)
+            half = LIGHT_WIDTH_M / 2 * np.array([-np.sin(heading), np.cos(heading)])
+            placed.append(np.add([x, y], [half, -half]))
+    added = torch.tensor(np.array(placed)).to(followers.states)[:, None]
     count = len(followers)
+    if situation is None:
+        red = torch.full((count, followers.steps, 1), RED)
+        red[:, :HISTORY] = GREEN
+        return replace(followers, stop_lines=added, light_states=red)
+    size, layer = LEADER_SIZE_M, VEHICLE
+    if isinstance(situation, Crossing):
+        size, layer = situation.size, situation.layer
     return replace(
         followers,
-        states=torch.cat([followers.states, leader], dim=1),
+        states=torch.cat([followers.states, added], dim=1),
         present=torch.ones(count, 2, followers.steps, dtype=torch.bool),
-        sizes=torch.cat([followers.sizes, torch.tensor(LEADER_SIZE_M).expand(count, 1, 2)], dim=1),
-        layers=torch.full((count, 2), VEHICLE),
+        sizes=torch.cat([followers.sizes, torch.tensor(size).expand(count, 1, 2)], dim=1),
+        layers=torch.cat([followers.layers, torch.full((count, 1), layer)], dim=1),
         controlled=torch.tensor([[True, False]]).expand(count, 2),
     )
+
+
+def _measure_way(states: Float[Array, "T 4"]) -> Float[Array, "T"]:
+    return np.concatenate([[0.0], np.hypot(*np.diff(states[:, :2], axis=0).T).cumsum()])
+
+
+def _locate(states: Float[Array, "T 4"], gap: float) -> Float[Array, "3"]:
+    """x, y and heading on a path, at a way from the last observed step; straight on at its end."""
+    arc = _measure_way(states)
+    way = arc[HISTORY - 1] + gap
+    beyond = max(way - arc[-1], 0.0)
+    heading = np.interp(way, arc, np.unwrap(states[:, 2]))
+    x, y = (np.interp(way, arc, column) for column in states[:, :2].T)
+    return np.array([x + beyond * np.cos(heading), y + beyond * np.sin(heading), heading])
+
+
+def _cross(
+    place: Float[Array, "3"], crossing: Crossing, meets: float, dt: float, steps: int
+) -> Float[Array, "T 4"]:
+    """Drive straight to the left over a place, where one is `meets` s after the last observed."""
+    x, y, heading = place
+    way = crossing.speed * ((np.arange(steps) - (HISTORY - 1)) * dt - meets)
+    turned = np.full(steps, heading + np.pi / 2)
+    speeds = np.full(steps, crossing.speed)
+    return np.stack([x + way * np.cos(turned), y + way * np.sin(turned), turned, speeds], axis=1)
 
 
 def _drive_along(
     states: Float[Array, "T 4"], gap: float, speed: float, situation: Situation, dt: float
 ) -> Float[Array, "T 4"]:
     """Drive along a path, from a gap at the last observed step on; before that at even speed."""
-    arc = np.concatenate([[0.0], np.hypot(*np.diff(states[:, :2], axis=0).T).cumsum()])
+    arc = _measure_way(states)
     time = (np.arange(len(states)) - (HISTORY - 1)) * dt
     after = np.maximum(time, 0.0)
     if situation.braking:
@@ -197,10 +261,10 @@ def measure_leaders(name: str, cases: Sequence[tuple[ITRA, Segments, Ground]]) -
             for case, alone in zip(cases, free, strict=True):
                 model, followers, ground = case
                 if title == FREE:
-                    parts.append(_compare(alone, alone, followers))
+                    parts.append(_compare(FREE, alone, alone, followers))
                     continue
-                led = add_leader(followers, SITUATIONS[title])
-                parts.append(_compare(_drive(driver, model, led, ground), alone, led))
+                led = put_in(followers, SITUATIONS[title])
+                parts.append(_compare(title, _drive(driver, model, led, ground), alone, led))
             values = {key: torch.cat([part[key].flatten() for part in parts]) for key in parts[0]}
             means = {key: round(float(value.float().nanmean()), 3) for key, value in values.items()}
             recorded = float(torch.cat([f.states[:, 0, -1, 3] for _, f, _ in cases]).mean())
@@ -216,14 +280,37 @@ def _drive(
     if driver == "model":
         generator = torch.Generator().manual_seed(0)
         return model.sample(segments, ground, history=HISTORY, samples=FUTURES, generator=generator)
-    scenario = make_segment_scenario(segments)
-    desired = segments.states[..., 3].amax(dim=2)
-    policy = make_idm_policy(extract_routes(scenario), desired, segments.sizes, segments.controlled)
-    return rollout(scenario, policy, segments.controlled, history=HISTORY)[:, None]
+    parts = [pick(segments, torch.tensor([row])) for row in range(len(segments))]
+    return torch.cat([_drive_idm(part) for part in parts])
+
+
+def _drive_idm(segment: Segments) -> Float[Tensor, "1 1 N T 4"]:
+    scenario = make_segment_scenario(segment)
+    driven = segment.states[..., 3].amax(dim=2), segment.sizes, segment.controlled
+    lights = segment.stop_lines[0], segment.light_states
+    policy = make_idm_policy(extract_routes(scenario), *driven, *lights)
+    return rollout(scenario, policy, segment.controlled, history=HISTORY)[:, None]
+
+
+def _detect_running(states: Float[Tensor, "B K T 4"], segments: Segments) -> Bool[Tensor, "B K"]:
+    """Whether the followers ever run the red light."""
+    futures = states.shape[1]
+    poses = states[:, :, HISTORY - 1 :, :3].flatten(0, 1)[:, None]  # (B K, 1, t, 3)
+    rows = torch.arange(len(segments)).repeat_interleave(futures)
+    lights = segments.stop_lines[rows], segments.light_states[rows, -1]
+    size, there = segments.sizes[rows, :1, 0], torch.ones(len(rows), 1, dtype=torch.bool)
+    runs = [
+        detect_red_light_running(poses[:, :, k], poses[:, :, k + 1], size, there, *lights)
+        for k in range(poses.shape[2] - 1)
+    ]
+    return torch.stack(runs).any(dim=0).view(-1, futures)
 
 
 def _compare(
-    states: Float[Tensor, "B K n T 4"], free: Float[Tensor, "B K m T 4"], segments: Segments
+    led: str,
+    states: Float[Tensor, "B K n T 4"],
+    free: Float[Tensor, "B K m T 4"],
+    segments: Segments,
 ) -> dict[str, Tensor]:
     """Compare futures with those without a leader."""
     future, alone = states[:, :, 0, HISTORY - 1 :], free[:, :, 0, HISTORY - 1 :]
@@ -234,7 +321,9 @@ def _compare(
         "m/s after 6 s": future[..., -1, 3],
         f"braking over {HARD_MPS2:g} m/s²": (braking > HARD_MPS2).any(dim=2),
     }
-    if states.shape[2] == 1:
+    if led == LIGHT:
+        return {"hits": _detect_running(states[:, :, 0], segments)} | found
+    if led == FREE:
         return found
     poses, sizes = states[..., HISTORY:, :3], segments.sizes[:, None, :, None]
     gap = compute_box_distance(poses[:, :, 0], sizes[:, :, 0], poses[:, :, 1], sizes[:, :, 1])
@@ -287,19 +376,26 @@ def measure_closed_loop(
             ("recording", piece, controlled),
         ):
             found.append({"driver": name, **_count(one, some, rules)})
-    errors = _measure_errors(model, scene, ground)
-    found.append({"driver": "model", "minADE in 3 s": (float(errors.sum()), len(errors))})
+    for driver, predict in (("model", model.sample), (NOISY, BASELINES[NOISY])):
+        errors = {
+            f"minADE in {seconds} s": _measure_errors(predict, scene, ground, seconds)
+            for seconds in HORIZONS_S
+        }
+        found.append({"driver": driver, **errors})
     return found
 
 
-def _measure_errors(model: ITRA, scene: Scene, ground: Ground) -> Float[Tensor, "E"]:
-    """minADE of each vehicle's futures, 3 s ahead."""
-    steps = SEGMENT_STEPS["vehicle"]
+def _measure_errors(
+    predict: Predictor, scene: Scene, ground: Ground, seconds: int
+) -> tuple[float, float]:
+    """minADE of vehicles' futures, which is summed; and the number of vehicles."""
+    steps = HISTORY + round(seconds / scene.dt)
     segments = cut_segments(scene, "vehicle", steps=steps, stride=steps, joint=True)
     generator = torch.Generator().manual_seed(0)
-    futures = model.sample(segments, ground, history=HISTORY, samples=FUTURES, generator=generator)
+    futures = predict(segments, ground, history=HISTORY, samples=FUTURES, generator=generator)
     errors = compute_ade(futures, segments, HISTORY).amin(dim=1)[segments.controlled]
-    return errors[errors.isfinite()]
+    errors = errors[errors.isfinite()]
+    return float(errors.sum()), len(errors)
 
 
 def _count(scene: Scene, agents: Bool[Tensor, "A"], rules: RoadRules) -> dict[str, Any]:
@@ -329,9 +425,8 @@ def _sum_rows(name: str, found: Sequence[Mapping[str, Any]]) -> list[Row]:
         ]:
             sums, counts = np.sum([one[key] for one in some if key in one], axis=0)
             row[key] = round(float(sums) / float(counts), 3)
-        row["vehicles"] = int(
-            sum(one["ever collide, %"][1] for one in some if "metres of each" in one)
-        )
+        driven = sum(one["metres of each"][1] for one in some if "metres of each" in one)
+        row |= {"vehicles": int(driven)} if driven else {}
         rows.append(row)
     return rows
 

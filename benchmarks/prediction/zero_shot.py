@@ -1,6 +1,7 @@
 """The models that come with the package on real places, of which they saw none."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from benchmarks.prediction import sind, songdo
@@ -15,13 +16,22 @@ from benchmarks.prediction.real_places import (
 from benchmarks.prediction.results import Metrics, Workspace, compute_differences, write_results
 from geoaim.prediction.baselines import BASELINES, Predictor, replay
 from geoaim.prediction.checkpoints import read_pretrained
-from geoaim.prediction.config import SEGMENT_STEPS
+from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.metrics import MIN_SEGMENTS, concat, keep_rates
 from geoaim.rendering.scene import Scene
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 
 NOISY = "constant velocity with noise"
-Case = tuple[Scene, RoadRules]
+LATER_S = (5, 8)  # horizons beside the models' own, of recordings that are long enough
+
+
+@dataclass(frozen=True, eq=False)
+class _Set:
+    """Recordings of one kind of agents, and the steps of their segments."""
+
+    kind: str
+    cases: Sequence[tuple[Scene, RoadRules]]
+    steps: int
 
 
 def run(workspace: Workspace) -> list[Path]:
@@ -29,9 +39,9 @@ def run(workspace: Workspace) -> list[Path]:
     metrics: dict[str, Metrics] = {}
     differences = {}
     sets = _list_sets()
-    for number, (name, cases) in enumerate(sets.items()):
+    for number, (name, one) in enumerate(sets.items()):
         workspace.progress("evaluate", number, len(sets))
-        found = _evaluate(name.split()[-1].removesuffix("s"), cases)
+        found = _evaluate(one)
         metrics |= {f"{name}, {method}": values for method, values in found.items()}
         if len(found[NOISY]["minADE"].sums) >= MIN_SEGMENTS:
             differences[name] = compute_differences(found["ITRA"], found[NOISY])
@@ -39,39 +49,49 @@ def run(workspace: Workspace) -> list[Path]:
     return write_results("zero_shot", metrics, settings, workspace.results)
 
 
-def _list_sets() -> Mapping[str, Sequence[Case]]:
-    """List the recordings of each set; the last word of its name is the kind of its agents."""
-    vehicle, pedestrian = (read_pretrained(kind).config.dt for kind in ("vehicle", "pedestrian"))
+def _list_sets() -> Mapping[str, _Set]:
+    """List the recordings of each set."""
+    dt = {kind: read_pretrained(kind).config.dt for kind in ("vehicle", "pedestrian")}
 
-    def make_cases(recordings: Sequence[RealRecording], dt: float) -> list[Case]:
-        return [(recording.make_scene(dt), recording.rules) for recording in recordings]
+    def make_set(kind: str, recordings: Sequence[RealRecording]) -> _Set:
+        cases = [(recording.make_scene(dt[kind]), recording.rules) for recording in recordings]
+        return _Set(kind, cases, SEGMENT_STEPS[kind])
 
-    return {
-        "Songdo, 1 place, vehicles": [(songdo.read_scene(), NO_ROAD_RULES)],
-        **{
-            f"Karlsruhe {junction[:4]}, 1 place, vehicles": make_cases(
-                list(read_karlsruhe(junction)), vehicle
-            )
-            for junction in KARLSRUHE
-        },
-        "Stanford, 2 places, pedestrians": make_cases(
-            [one for place in STANFORD_TEST for one in read_stanford(place)], pedestrian
-        ),
-        "SinD, 2 places, pedestrians": [(scene, NO_ROAD_RULES) for scene in sind.read_scenes()],
-    }
+    songdo_cases = [(songdo.read_scene(), NO_ROAD_RULES)]
+    sets = {"Songdo, 1 place, vehicles": _Set("vehicle", songdo_cases, SEGMENT_STEPS["vehicle"])}
+    for junction in KARLSRUHE:
+        name = f"Karlsruhe {junction[:4]}, 1 place, vehicles"
+        sets[name] = make_set("vehicle", list(read_karlsruhe(junction)))
+        for seconds in LATER_S:
+            steps = MAX_HISTORY_STEPS + round(seconds / dt["vehicle"])
+            sets[f"{name}, {seconds} s"] = replace(sets[name], steps=steps)
+    stanford = [one for place in STANFORD_TEST for one in read_stanford(place)]
+    sets["Stanford, 2 places, pedestrians"] = make_set("pedestrian", stanford)
+    cases = [(scene, NO_ROAD_RULES) for scene in sind.read_scenes()]
+    sets["SinD, 2 places, pedestrians"] = _Set("pedestrian", cases, SEGMENT_STEPS["pedestrian"])
+    return sets
 
 
-def _evaluate(kind: str, cases: Sequence[Case]) -> dict[str, Metrics]:
-    """Evaluate the model of a kind of agents and all baselines jointly on recordings."""
-    model, stride = read_pretrained(kind), SEGMENT_STEPS[kind]
+def _evaluate(one: _Set) -> dict[str, Metrics]:
+    """Evaluate the model and all baselines jointly on recordings."""
+    model = read_pretrained(one.kind)
     predictors: dict[str, Predictor] = {"ITRA": model.sample, **BASELINES, "recording": replay}
+    if model.config.brakes:
+        alone = read_pretrained(one.kind)
+        alone.config = replace(alone.config, brakes=False)
+        predictors["ITRA without braking"] = alone.sample
     found = {
         name: concat(
             [
                 part
-                for scene, rules in cases
+                for scene, rules in one.cases
                 for part in evaluate_scene(
-                    predictor, scene, model.config, stride=stride, rules=rules
+                    predictor,
+                    scene,
+                    model.config,
+                    stride=SEGMENT_STEPS[one.kind],
+                    steps=one.steps,
+                    rules=rules,
                 )
             ]
         )

@@ -3,6 +3,7 @@
 Every agent is continued on the arc of its curvature, without routes or lanes. Behind somebody on
 that arc, an agent keeps the speed from which it can stop if the one ahead brakes (Gipps 1981).
 Where somebody crosses the arc at the time when it would be there, the later one stops before it.
+Before a red light an agent stops if its brakes allow it.
 """
 
 import torch
@@ -14,6 +15,7 @@ from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH, agent_from_world,
 NEAREST = 10  # others for which an agent brakes
 REACTION_S, BRAKING_MPS2, MAX_BRAKING_MPS2 = 0.3, 4.0, 8.0
 STANDSTILL_GAP_M, SIDE_MARGIN_M = 1.5, 0.2
+STOP_LINE_GAP_M = 0.5
 MIN_CURVATURE = 1e-4  # 1/m; less is straight
 CROSSING_TIMES_S = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 CROSSING_MARGIN_S = 0.4  # between one that leaves the place of a crossing and the next one
@@ -59,6 +61,43 @@ def limit_acceleration(  # noqa: PLR0913  (agents and others, field by field)
     safe = torch.minimum(safe, _compute_safe_speed(crossing, torch.zeros_like(crossing)))
     slowest = safe.amin(dim=1)
     return ((slowest - speed) / dt).clamp_min(-MAX_BRAKING_MPS2)
+
+
+def limit_for_red_lights(
+    pose: Float[Tensor, "E 4"],
+    size: Float[Tensor, "E 2"],
+    curvature: Float[Tensor, "E"],
+    lines: Float[Tensor, "E L 2 2"],
+    red: Bool[Tensor, "E L"],
+    dt: float,
+) -> Float[Tensor, "E"]:
+    """Compute the highest acceleration with which agents can still stop before red lights.
+
+    Args:
+        pose: x, y, heading, speed of E agents.
+        size: their lengths and widths.
+        curvature: of their arcs, 1/m; positive to the left.
+        lines: both ends of each light's stop line.
+        red: which lights are red.
+        dt: time between steps, s.
+
+    Returns:
+        m/s², down to -`MAX_BRAKING_MPS2`; infinite where no red light is ahead, and where braking
+        that hard would not stop an agent in time.
+    """
+    ends = lines.flatten(1, 2)  # (E, 2 L, 2)
+    along, aside = (part.view(*red.shape, 2) for part in _project(pose, curvature, ends))
+    (along, last), (aside, last_aside) = along.unbind(2), aside.unbind(2)
+    crosses = aside * last_aside < 0
+    share = aside / torch.where(crosses, aside - last_aside, 1.0)
+    gap = torch.lerp(along, last, share) - size[:, :1] / 2
+    speed = pose[:, 3].clamp_min(0)
+    ahead = red & crosses & (gap > 0)
+    ahead &= speed[:, None].square() < 2 * MAX_BRAKING_MPS2 * gap
+    room = torch.where(ahead, gap + STANDSTILL_GAP_M - STOP_LINE_GAP_M, torch.inf)
+    safe = _compute_safe_speed(room, torch.zeros_like(room))
+    nearest = torch.cat([safe, torch.full_like(pose[:, :1], torch.inf)], dim=1).amin(dim=1)
+    return ((nearest - speed) / dt).clamp_min(-MAX_BRAKING_MPS2)
 
 
 def compute_curvature(

@@ -37,7 +37,7 @@ from geoaim.prediction.anchors import (
     select_anchor,
 )
 from geoaim.prediction.bound import Losses, compute_nll, draw_posterior
-from geoaim.prediction.braking import compute_curvature, limit_acceleration
+from geoaim.prediction.braking import compute_curvature, limit_acceleration, limit_for_red_lights
 from geoaim.prediction.config import Config
 from geoaim.prediction.neighbours import split_views
 from geoaim.prediction.networks import NeighbourEncoder, build_cnn, build_mlp
@@ -66,10 +66,12 @@ from geoaim.rendering.ground import Ground
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.simulation.input_checks import check_shape
 from geoaim.simulation.kinematics import MOTION_MODELS
+from geoaim.tracks.lights import RED
 
 if TYPE_CHECKING:
     from geoaim.prediction.familiarity import KnownViews
 
+STANDING_MPS, STARTING_MPS2 = 0.15, 0.2  # slower stands; an agent starts by more than that
 CURVATURE_SHARE = 0.3  # of a new action in the curvature of an agent's arc
 ATTRIBUTES = 3  # speed, length and width
 
@@ -450,7 +452,10 @@ class ITRA(nn.Module):
     def _brake(
         self, rollout: Rollout, action: Float[Tensor, "E 2"]
     ) -> tuple[Float[Tensor, "E 2"], Rollout]:
-        """Lower accelerations with which agents could not stop for others on their arcs."""
+        """Lower accelerations with which agents could not stop for others or for a red light.
+
+        Who stands stays there until it starts: weaker accelerations only make it creep.
+        """
         batch, pose = rollout.batch, rollout.pose
         wanted = self.scale_action(action)
         curvature = compute_curvature(wanted[:, 1], batch.sizes[:, 0])
@@ -465,7 +470,15 @@ class ITRA(nn.Module):
         most = limit_acceleration(
             pose, batch.sizes, curvature, *others[:2], turns, others[2], batch.segments.dt
         )
-        lower = torch.minimum(action[:, 0], most / self.motion.scale[0])
+        row, dt = batch.controlled.segment, batch.segments.dt
+        red = batch.segments.light_states[row, rollout.index] == RED
+        stops = limit_for_red_lights(
+            pose, batch.sizes, curvature, batch.segments.stop_lines[row], red, dt
+        )
+        lower = torch.minimum(wanted[:, 0], torch.minimum(most, stops))
+        stays = (pose[:, 3].abs() < STANDING_MPS) & (lower < STARTING_MPS2)
+        held = torch.where(stays, -pose[:, 3] / dt - lower, 0).detach()  # gradients still pass
+        lower = (lower + held) / self.motion.scale[0]
         limited = torch.stack([lower, action[:, 1]], dim=1)
         return limited, replace(rollout, curvature=curvature)
 
