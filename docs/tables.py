@@ -257,6 +257,14 @@ def write_without_detector(results: Row) -> str:
     return write_rows([{key: row[key] for key in keys} for row in results["rows"]])
 
 
+def write_models_without_detector(results: Row) -> str:
+    """A row for each model, a column for each place."""
+    rows = results["rows"]
+    names = [key for key in rows[0] if key != "video"]
+    table = [{"": name, **{row["video"]: row[name] for row in rows}} for name in names]
+    return write_rows(table)
+
+
 def write_birdview(results: Row) -> str:
     """Time of a batch, and errors of each method against the truth."""
     parts = [
@@ -295,6 +303,7 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "length": lambda results: write_rows(results["lengths"]),
     "birdview": write_birdview,
     "without_detector": write_without_detector,
+    "models_without_detector": write_models_without_detector,
     "georeference": write_georeference,
     "georeference_sizes": write_sizes,
     "registration_sizes": write_sizes,

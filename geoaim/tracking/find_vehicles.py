@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
+from scipy import ndimage
 
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import TracksError
@@ -67,6 +68,7 @@ def search_frames(
             f"detector up to {MAX_RESOLUTION} m: give boxes (--detections), or check the scale"
         )
     ground = _learn(video, aim, grid, matrices, known)
+    area = ndimage.binary_fill_holes(ground.covered)  # vehicles drive out of it, and not into holes
     small = grid.resolution <= max(MAX_SMALL_RESOLUTION, 0.12)
     found: dict[int, DetectedBoxes] = {}
     for frame in video.read_all():
@@ -81,7 +83,7 @@ def search_frames(
         frame_from_grid = np.linalg.inv(grid.grid_from_world @ matrix)
         corners = transform_points(frame_from_grid, shapes.corners.reshape(-1, 2)).reshape(-1, 4, 2)
         boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
-        ends = _find_ends(seen & ground.covered, shapes.corners, grid.resolution)
+        ends = _find_ends(seen & area, shapes.corners, grid.resolution)
         found[frame.index] = DetectedBoxes(boxes, corners, shapes.scores, at_border=ends)
         progress("find vehicles", len(found), len(known))
     return [found.get(index) for index in matrices]

@@ -1,6 +1,8 @@
 """The benchmark of tracking: its scores on paths with exact states, and its smallest video."""
 
+from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,7 +14,10 @@ from benchmarks.tracking import hard as tracking_hard
 from benchmarks.tracking import peers as tracking_peers
 from benchmarks.tracking import real as tracking_real
 from benchmarks.tracking.cases import DetectorErrors, make_drawn_case
+from benchmarks.tracking.filmed_cases import FilmedCase
+from benchmarks.tracking.models_without_detector import keep_vehicles_in_view
 from benchmarks.tracking.scores import compute_iou, make_view, measure_errors, score_tracks
+from geoaim.base.geometry import transform_points
 from geoaim.tracking import track_boxes
 from tests.tracking.paths import SIZE, detect, drive_straight, make_truth, turn_left
 
@@ -109,3 +114,16 @@ def test_hard_boxes_are_made_and_gaps_of_peers_are_filled():
         pd.DataFrame({"id": "a", "type": "car", "step": step} | sides)
     )
     np.testing.assert_array_equal(filled["left"], np.arange(7))
+
+
+def test_models_learn_from_true_tracks_of_vehicles_in_view():
+    truth = make_truth(drive_straight(70, 42, np.pi, 8.0), drive_straight(70, 30, np.pi, 1.0))
+    truth = replace(truth, types=("car", "pedestrian"))
+    _, matrices = detect(truth)
+    inverse = np.linalg.inv(matrices)
+    case = FilmedCase("one", Path("no.mp4"), None, truth, inverse, (2 * SIZE[0], SIZE[1] // 2))
+    kept = keep_vehicles_in_view(case)
+    pixels = transform_points(inverse, truth.states[0, :, :2][:, None])[:, 0]
+    assert (kept.present[0] == (truth.present[0] & (pixels[:, 0] < SIZE[1] // 2))).all()
+    assert 0 < kept.present[0].sum() < truth.present[0].sum()
+    assert not kept.present[1].any()
