@@ -23,7 +23,7 @@ from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, configure_fine_tuning
 from geoaim.prediction.dataset import hold_out_agents, make_dataset
 from geoaim.prediction.evaluation import RECORDING, EvalConfig, judge
-from geoaim.prediction.itra import ITRA
+from geoaim.prediction.metrics import average_seeds
 from geoaim.prediction.training import learn_place, train
 from geoaim.rendering.scene import Scene
 from geoaim.simulation.road_rules import RoadRules
@@ -33,6 +33,7 @@ FRACTION = 0.3  # at the end of each recording, on which it is judged
 HORIZON = 40  # steps of 0.1 s
 MINUTES = 3.0  # of made traffic
 MOTION_WINDOW_S = 0.5
+SEEDS = 3  # trainings, whose metrics are averaged
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,8 @@ def run(workspace: Workspace) -> list[Path]:
                 rules=recording.rules,
                 progress=workspace.progress,
             )
+            trained = [found.pop(f"{AFTER} {seed}") for seed in range(SEEDS)]
+            found[AFTER] = average_seeds(trained)
             name = f"{part}, {place}"
             metrics |= {f"{name}, {method}": values for method, values in found.items()}
             minutes |= {f"{name}, {method}": value for method, value in taken.items()}
@@ -110,13 +113,15 @@ def _train(
     dataset = replace(dataset, train=learning, val=held_out)
     known = learn_place(model, dataset)
     seconds = time.perf_counter() - began
-    folder = workspace.models / f"own_place_{place.replace(' ', '_')}"
-    config = configure_fine_tuning("vehicle", steps=STEPS, batch_size=BATCH_SIZE)
-    after: ITRA = learn_place(
-        train(model, config, dataset, folder, progress=workspace.progress), dataset
-    )
-    minutes = {PLACE: seconds / 60, AFTER: (time.perf_counter() - began) / 60}
-    predictors = {BEFORE: model.sample, PLACE: known.sample, AFTER: after.sample, **BASELINES}
+    predictors: dict[str, Predictor] = {BEFORE: model.sample, PLACE: known.sample}
+    for seed in range(SEEDS):
+        folder = workspace.models / f"own_place_{place.replace(' ', '_')}_{seed}"
+        config = configure_fine_tuning("vehicle", steps=STEPS, batch_size=BATCH_SIZE, seed=seed)
+        trained = train(model, config, dataset, folder, progress=workspace.progress)
+        predictors[f"{AFTER} {seed}"] = learn_place(trained, dataset).sample
+    taken = (time.perf_counter() - began - seconds) / SEEDS + seconds
+    minutes = {PLACE: seconds / 60, AFTER: taken / 60}
+    predictors |= BASELINES
     plain = train_on_beginning(model, recording.scenes, FRACTION)
     if plain is not None:
         predictors[PLAIN] = plain.sample
