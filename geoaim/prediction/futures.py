@@ -36,12 +36,14 @@ class Futures(Display):
         scene: map, agents and lights.
         start: index of the scene's last observed step.
         dt: time between steps, s.
+        predicted: agents that the model moves; None: those whose samples differ.
     """
 
     states: Float[Tensor, "K N T 4"]
     scene: Scene
     start: int
     dt: float
+    predicted: Bool[Tensor, "N"] | None = None
 
     @property
     def world(self) -> World | None:
@@ -70,9 +72,14 @@ class Futures(Display):
         return replace(self, states=torch.where(kept[:, None, None], self.states, torch.nan))
 
     def mark_predicted(self) -> Bool[Tensor, "N"]:
-        """Mark agents whose samples differ. Of one sample: all that are present."""
+        """Mark agents that the model moves and that are there, also those that it lets stand.
+
+        Where these are not known, agents whose samples differ; of one sample, all.
+        """
         positions = self.states[..., :2]
         known = torch.isfinite(positions).flatten(2).any(dim=2).any(dim=0)
+        if self.predicted is not None:
+            return known & self.predicted
         same = ((positions - positions[:1]).nan_to_num() == 0).flatten(2).all(dim=2).all(dim=0)
         return known if len(positions) == 1 else known & ~same
 

@@ -76,7 +76,7 @@ def predict(  # noqa: PLR0913  (what is predicted, and how)
     futures = model.sample(segment, ground, generator=generator, **given)[0, :, :, history:]
     present = segment.present[0, :, history:, None]
     states = torch.where(present, futures, torch.nan)
-    return Futures(states, scene, start, config.dt)
+    return Futures(states, scene, start, config.dt, segment.controlled[0])
 
 
 def _warn_of_strange_views(distances: Float[Tensor, "E"] | None) -> None:

@@ -40,3 +40,10 @@ def test_a_picture_shows_all_futures_and_the_start_with_a_margin(scene):
 def test_a_picture_reaches_as_far_as_the_map(scene):
     futures = make_futures(scene, [[[-900.0, -900.0], [900.0, 900.0]]])
     np.testing.assert_allclose(futures.fit_limits().numpy(), [[0, 0], [400, 400]], atol=1.0)
+
+
+def test_agents_that_stand_in_all_futures_are_predicted(scene):
+    same = make_futures(scene, 2 * [[[150.0, 220.0], [230.0, 290.0]]])
+    assert not same.mark_predicted().any()
+    moved = torch.tensor([True, False])
+    assert replace(same, predicted=moved).mark_predicted().tolist() == [True, False]
