@@ -15,7 +15,9 @@ from geoaim.tracks.tracks import Tracks
 
 MAX_IOU = 0.5  # of the boxes of two agents; those that overlap more are of one
 MAX_CONTAINED = 0.9  # share of a box in another one of its class: a part of it, cut by a slice
-MAX_OFFSET = 0.5  # of the middles of two agents, in their sides
+# of the middles of an agent's boxes, in their sides and in pixels: the noise of small boxes decides
+# how they overlap, but larger ones that are further apart are neighbours
+MAX_OFFSET, MAX_OFFSET_PX = 0.5, 8.0
 MIN_PART = 0.25  # of the area of the other one; a smaller one may be an agent beside it
 MIN_JUDGED = 20  # boxes that tell sizes
 USUAL_SIZES = (0.7, 1.8)  # of the square root of boxes' areas, over what is typical of their type
@@ -85,7 +87,7 @@ def _find_single(boxes: DetectedBoxes, rows: Int[Array, " n"]) -> Int[Array, " m
     part &= types[:, None] == types[None, :]
     middle, sides = (ends[:, :2] + ends[:, 2:]) / 2, ends[:, 2:] - ends[:, :2]
     offset = np.abs(middle[:, None] - middle[None])
-    reach = MAX_OFFSET * np.minimum(sides[:, None], sides[None])
+    reach = np.minimum(MAX_OFFSET * np.minimum(sides[:, None], sides[None]), MAX_OFFSET_PX)
     close = (offset < reach).all(axis=2) & alike
     over = (shared > MAX_IOU * (area[:, None] + area - shared)) | part | close
     np.fill_diagonal(over, False)

@@ -18,6 +18,7 @@ MAX_GAP_S = 10.0  # between two tracks of one agent that moves
 # m²/s³; spectral densities of the acceleration of an agent that is lost, along its way and across:
 # it goes on as it was, changes its speed in its lane, or does anything
 JOIN_NOISE = ((0.3, 0.3), (6.0, 0.3), (6.0, 6.0))
+PEDESTRIAN_SHARE = 0.01  # of these for pedestrians, who hardly change their walk
 MAX_DISTANCE = 25.0  # squared, in standard deviations
 MAX_END_DISTANCE = 9.0  # the same of an end of a track from what the rest of it tells
 STANDING_SPEED = 0.7  # m/s
@@ -100,7 +101,11 @@ def join_tracks(
     early, late = _list_pairs(motion, (first, last), begin, end)
     gap = begin[late] - end[early]
     ends, starts = last[early], first[late]
-    cost, distance = _compare_motion(motion, ends, starts, gap)
+    kinds = np.array(types)
+    groups = np.array([find_group(kind) for kind in types])
+    walks = (groups[early] == "pedestrian") & (groups[late] == "pedestrian")
+    share = np.where(walks, PEDESTRIAN_SHARE, 1.0)
+    cost, distance = _compare_motion(motion, ends, starts, gap, share)
     stands = _find_standing(motion, ends) & _find_standing(motion, starts)
     fixed = np.diag(np.square(STANDING_SIGMAS)) + 2 * motion.covariance[starts]
     resting, near = _compare(motion.mean[starts] - motion.mean[ends], fixed, fixed)
@@ -108,8 +113,6 @@ def join_tracks(
     cost, distance = np.where(better, resting, cost), np.where(better, near, distance)
     side = _measure_sides(detections, rows)
     change = np.minimum(np.nan_to_num((side[early] - side[late]) / SIZE_SIGMA) ** 2, GROUP_COST)
-    kinds = np.array(types)
-    groups = np.array([find_group(kind) for kind in types])
     cost += change + TYPE_COST * (kinds[early] != kinds[late])
     cost += GROUP_COST * (groups[early] != groups[late])
     edges = [select_detections(detections, rows.detection[part]) for part in (ends, starts)]
@@ -158,9 +161,16 @@ def _find_standing(motion: TrackMotion, rows: Int[Array, " p"]) -> Bool[Array, "
 
 
 def _compare_motion(
-    motion: TrackMotion, ends: Int[Array, " p"], starts: Int[Array, " p"], gap: Float[Array, " p"]
+    motion: TrackMotion,
+    ends: Int[Array, " p"],
+    starts: Int[Array, " p"],
+    gap: Float[Array, " p"],
+    share: Float[Array, " p"],
 ) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
-    """Compare where later tracks start with where earlier ones would then be, as `_compare`."""
+    """Compare where later tracks start with where earlier ones would then be, as `_compare`.
+
+    Each pair has its share of the noise.
+    """
     before, after = motion.mean[ends], motion.mean[starts]
     way = before[:, 1] + after[:, 1]
     way = way / np.maximum(np.hypot(*way.T), 1e-9)[:, None]
@@ -169,7 +179,7 @@ def _compare_motion(
     for along, across in JOIN_NOISE:
         spreads = []
         for noise in (along, across):
-            ahead, spread = predict(before, motion.covariance[ends], gap, np.full(len(gap), noise))
+            ahead, spread = predict(before, motion.covariance[ends], gap, noise * share)
             spreads.append(spread + motion.covariance[starts])
         found.append(_compare((after - ahead) @ turned, *spreads))
     costs, distances = (np.stack(part) for part in zip(*found, strict=True))

@@ -45,6 +45,15 @@ def test_a_part_of_a_box_is_dropped_and_an_agent_beside_it_kept():
     assert count == 1
 
 
+@pytest.mark.parametrize(("side", "kept"), [(40.0, 2), (12.0, 1)])
+def test_people_side_by_side_are_kept_unless_noise_may_part_their_boxes(side, kept):
+    one = np.array([100.0, 100.0, 100.0 + side, 100.0 + side])
+    boxes = DetectedBoxes(np.array([one, one + 0.4 * side]), types=("pedestrian", "cyclist"))
+    [cleaned], count, _ = drop_doubled_boxes([boxes])
+    assert len(cleaned.boxes) == kept
+    assert count == 2 - kept
+
+
 @pytest.mark.parametrize("factor", [0.3, 4.0])
 def test_sizes_that_cannot_be_are_refused(cars, factor):
     frames, matrices = detect(cars)

@@ -127,6 +127,20 @@ def test_what_is_lost_for_long_stays_one_agent(speed):
     assert np.isnan(found.observed[:, 120:140]).all()
 
 
+@pytest.mark.parametrize(("y", "heading", "count"), [(30.0, 0.0, 1), (21.0, np.pi, 2)])
+def test_a_lost_pedestrian_walks_on_and_one_who_comes_back_elsewhere_is_another(y, heading, count):
+    hidden = np.full((90, 4), np.nan)
+    walk, rest = drive_straight(30, 30, 0.0, 1.4), np.full((100, 4), np.nan)
+    later = drive_straight(30 + 1.4 * 190 / RATE, y, heading, 1.4)
+    truth = make_truth(
+        np.concatenate([walk, hidden, rest]),
+        np.concatenate([rest, hidden, later]),
+        kinds=("pedestrian",) * 2,
+        sizes=[(0.8, 0.8)] * 2,
+    )
+    assert len(track(truth, EXACT).ids) == count
+
+
 def test_two_that_stood_on_opposite_lanes_are_not_swapped():
     def start_at_green(x, y, heading, acceleration):
         states = drive_straight(x, y, heading, 0.0, steps=200)
