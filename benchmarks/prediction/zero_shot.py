@@ -26,7 +26,7 @@ LATER_S = (5, 8)  # horizons beside the models' own, of recordings that are long
 
 
 @dataclass(frozen=True, eq=False)
-class _Set:
+class RecordingSet:
     """Recordings of one kind of agents, and the steps of their segments."""
 
     kind: str
@@ -49,16 +49,18 @@ def run(workspace: Workspace) -> list[Path]:
     return write_results("zero_shot", metrics, settings, workspace.results)
 
 
-def _list_sets() -> Mapping[str, _Set]:
+def _list_sets() -> Mapping[str, RecordingSet]:
     """List the recordings of each set."""
     dt = {kind: read_pretrained(kind).config.dt for kind in ("vehicle", "pedestrian")}
 
-    def make_set(kind: str, recordings: Sequence[RealRecording]) -> _Set:
+    def make_set(kind: str, recordings: Sequence[RealRecording]) -> RecordingSet:
         cases = [(recording.make_scene(dt[kind]), recording.rules) for recording in recordings]
-        return _Set(kind, cases, SEGMENT_STEPS[kind])
+        return RecordingSet(kind, cases, SEGMENT_STEPS[kind])
 
     songdo_cases = [(songdo.read_scene(), NO_ROAD_RULES)]
-    sets = {"Songdo, 1 place, vehicles": _Set("vehicle", songdo_cases, SEGMENT_STEPS["vehicle"])}
+    sets = {
+        "Songdo, 1 place, vehicles": RecordingSet("vehicle", songdo_cases, SEGMENT_STEPS["vehicle"])
+    }
     for junction in KARLSRUHE:
         name = f"Karlsruhe {junction[:4]}, 1 place, vehicles"
         sets[name] = make_set("vehicle", list(read_karlsruhe(junction)))
@@ -68,11 +70,13 @@ def _list_sets() -> Mapping[str, _Set]:
     stanford = [one for place in STANFORD_TEST for one in read_stanford(place)]
     sets["Stanford, 2 places, pedestrians"] = make_set("pedestrian", stanford)
     cases = [(scene, NO_ROAD_RULES) for scene in sind.read_scenes()]
-    sets["SinD, 2 places, pedestrians"] = _Set("pedestrian", cases, SEGMENT_STEPS["pedestrian"])
+    sets["SinD, 2 places, pedestrians"] = RecordingSet(
+        "pedestrian", cases, SEGMENT_STEPS["pedestrian"]
+    )
     return sets
 
 
-def _evaluate(one: _Set) -> dict[str, Metrics]:
+def _evaluate(one: RecordingSet) -> dict[str, Metrics]:
     """Evaluate the model and all baselines jointly on recordings."""
     model = read_pretrained(one.kind)
     predictors: dict[str, Predictor] = {"ITRA": model.sample, **BASELINES, "recording": replay}

@@ -19,6 +19,7 @@ from benchmarks.tracking.models_without_detector import keep_vehicles_in_view
 from benchmarks.tracking.scores import compute_iou, make_view, measure_errors, score_tracks
 from geoaim.base.geometry import transform_points
 from geoaim.tracking import track_boxes
+from tests.faults.seeds import make_aim
 from tests.tracking.paths import SIZE, detect, drive_straight, make_truth, turn_left
 
 pytestmark = pytest.mark.slow
@@ -83,7 +84,8 @@ def test_averages_are_by_method_and_group():
 
 
 def test_peers_are_listed_where_they_are_installed():
-    assert set(tracking_peers.list_peers()) <= {"ByteTrack", "OC-SORT"}
+    found, floor = set(tracking_peers.list_peers()), {"Kalman and Hungarian"}
+    assert floor <= found <= {"ByteTrack", "OC-SORT", *floor}
 
 
 def test_changes_of_an_ablation_end_with_it():
@@ -121,7 +123,9 @@ def test_models_learn_from_true_tracks_of_vehicles_in_view():
     truth = replace(truth, types=("car", "pedestrian"))
     _, matrices = detect(truth)
     inverse = np.linalg.inv(matrices)
-    case = FilmedCase("one", Path("no.mp4"), None, truth, inverse, (2 * SIZE[0], SIZE[1] // 2))
+    case = FilmedCase(
+        "one", Path("no.mp4"), make_aim(), truth, inverse, (2 * SIZE[0], SIZE[1] // 2)
+    )
     kept = keep_vehicles_in_view(case)
     pixels = transform_points(inverse, truth.states[0, :, :2][:, None])[:, 0]
     assert (kept.present[0] == (truth.present[0] & (pixels[:, 0] < SIZE[1] // 2))).all()

@@ -11,6 +11,7 @@ from benchmarks.prediction.places import read_map, read_recordings
 from benchmarks.prediction.real_places import RealRecording, read_karlsruhe, read_stanford
 from benchmarks.prediction.results import Workspace
 from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.config import SEGMENT_STEPS
 from geoaim.rendering.scene import slice_scene
 from geoaim.simulation.road_rules import NO_ROAD_RULES
 from geoaim.tracks.changes import cut_tracks
@@ -32,12 +33,14 @@ def test_zero_shot_models_stand_beside_baselines_and_the_recordings_rates(
     recording, monkeypatch, tmp_path
 ):
     cases = [(slice_scene(recording.make_scene(0.1), slice(0, 90)), NO_ROAD_RULES)]
-    monkeypatch.setattr(zero_shot, "_list_sets", lambda: {"here, 1 place, vehicles": cases})
+    some = zero_shot.RecordingSet("vehicle", cases, SEGMENT_STEPS["vehicle"])
+    monkeypatch.setattr(zero_shot, "_list_sets", lambda: {"here, 1 place, vehicles": some})
     methods = read_methods(zero_shot.run(Workspace(tmp_path, tmp_path)))
-    names = [f"here, 1 place, vehicles, {name}" for name in ("ITRA", *BASELINES, "recording")]
+    rows = "ITRA", *BASELINES, "recording", "ITRA without braking"
+    names = [f"here, 1 place, vehicles, {name}" for name in rows]
     assert list(methods) == names
     assert methods[names[0]]["minADE"]["segments"] == 2
-    assert list(methods[names[-1]]) == ["collision rate"]
+    assert list(methods[names[-2]]) == ["collision rate"]
 
 
 def test_estimates_from_the_past_are_compared(recording, monkeypatch, tmp_path):
