@@ -85,6 +85,7 @@ class Crossing:
 
 
 STOP_MPS2, CUT_IN_S = 3.0, 1.5
+UNRULED = "model without its rules of braking"
 FREE, LIGHT = "no leader", "light turns red"  # as the future begins; a stop needs `STOP_MPS2`
 LIGHT_WIDTH_M = 3.5
 SITUATIONS: Mapping[str, Situation | Crossing | None] = {
@@ -99,8 +100,18 @@ SITUATIONS: Mapping[str, Situation | Crossing | None] = {
 
 
 def run(workspace: Workspace) -> list[Path]:
-    """Measure whether the pretrained vehicle model reacts to others; return the files."""
-    parts = measure_places(read_pretrained("vehicle"), {"sample": SAMPLE, "test": TEST}, workspace)
+    """Measure whether the pretrained vehicle model reacts to others, with and without its rules.
+
+    Returns:
+        The files.
+    """
+    places = {"sample": SAMPLE, "test": TEST}
+    parts = measure_places(read_pretrained("vehicle"), places, workspace)
+    unruled = read_pretrained("vehicle")
+    unruled.config = replace(unruled.config, brakes=False)
+    for part, rows in measure_places(unruled, places, workspace).items():
+        named = [{**row, "driver": UNRULED} for row in rows if row["driver"] == "model"]
+        parts[part] = sorted([*parts[part], *named], key=lambda row: row["places"])
     return write_rows("reaction", parts, workspace)
 
 
