@@ -8,7 +8,7 @@ judged once before, when all samples followed it.
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,13 +16,15 @@ from benchmarks.prediction.places import make_drawn_scene
 from benchmarks.prediction.real_places import KARLSRUHE, read_karlsruhe
 from benchmarks.prediction.results import Metrics, Workspace, compute_differences, write_results
 from geoaim.base.defaults import SAMPLES
+from geoaim.base.progress import Progress
 from geoaim.cli.evaluate import train_on_beginning
 from geoaim.cli.train import BATCH_SIZE, STEPS
 from geoaim.prediction.baselines import BASELINES, Predictor, replay
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, configure_fine_tuning
-from geoaim.prediction.dataset import hold_out_agents, make_dataset
+from geoaim.prediction.dataset import Dataset, hold_out_agents, make_dataset
 from geoaim.prediction.evaluation import RECORDING, EvalConfig, judge
+from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import average_seeds
 from geoaim.prediction.training import learn_place, train
 from geoaim.rendering.scene import Scene
@@ -97,6 +99,21 @@ def run(workspace: Workspace) -> list[Path]:
     return write_results("own_place", metrics, settings, workspace.results)
 
 
+def make_place_dataset(model: ITRA, scenes: Sequence[Scene], progress: Progress) -> Dataset:
+    """Make the dataset of the beginnings of scenes, as `geoaim train` does."""
+    dataset = make_dataset(scenes, model.config, val_fraction=FRACTION, progress=progress)
+    learning, held_out = hold_out_agents(dataset.train)
+    return replace(dataset, train=learning, val=held_out)
+
+
+def train_place(
+    model: ITRA, dataset: Dataset, folder: Path, progress: Progress, *, seed: int = 0
+) -> ITRA:
+    """Fine-tune a model on a place and give it a network of the place, as `geoaim train` does."""
+    config = configure_fine_tuning("vehicle", steps=STEPS, batch_size=BATCH_SIZE, seed=seed)
+    return learn_place(train(model, config, dataset, folder, progress=progress), dataset)
+
+
 BEFORE, PLACE, AFTER, PLAIN = "before", "network of the place", "after", "plain network"
 
 
@@ -106,19 +123,14 @@ def _train(
     """Train as `geoaim train` does; predictors by name, and minutes of the trainings."""
     model = read_pretrained("vehicle")
     began = time.perf_counter()
-    dataset = make_dataset(
-        recording.scenes, model.config, val_fraction=FRACTION, progress=workspace.progress
-    )
-    learning, held_out = hold_out_agents(dataset.train)
-    dataset = replace(dataset, train=learning, val=held_out)
+    dataset = make_place_dataset(model, recording.scenes, workspace.progress)
     known = learn_place(model, dataset)
     seconds = time.perf_counter() - began
     predictors: dict[str, Predictor] = {BEFORE: model.sample, PLACE: known.sample}
     for seed in range(SEEDS):
         folder = workspace.models / f"own_place_{place.replace(' ', '_')}_{seed}"
-        config = configure_fine_tuning("vehicle", steps=STEPS, batch_size=BATCH_SIZE, seed=seed)
-        trained = train(model, config, dataset, folder, progress=workspace.progress)
-        predictors[f"{AFTER} {seed}"] = learn_place(trained, dataset).sample
+        trained = train_place(model, dataset, folder, workspace.progress, seed=seed)
+        predictors[f"{AFTER} {seed}"] = trained.sample
     taken = (time.perf_counter() - began - seconds) / SEEDS + seconds
     minutes = {PLACE: seconds / 60, AFTER: taken / 60}
     predictors |= BASELINES

@@ -19,6 +19,7 @@ import cv2
 import torch
 import typer
 
+from benchmarks.prediction.own_place import FRACTION, make_place_dataset, train_place
 from benchmarks.results import JsonFile, print_rows, write_rows
 from benchmarks.tracking.benchmark import KINDS, TEST_SEED, VALIDATION_SEED
 from benchmarks.tracking.filmed_cases import FilmedCase, film_drawn
@@ -27,16 +28,12 @@ from geoaim.base.geometry import transform_points
 from geoaim.base.progress import no_progress
 from geoaim.cli.evaluate import train_on_beginning
 from geoaim.cli.inputs import get_horizon
-from geoaim.cli.train import BATCH_SIZE, STEPS
 from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.checkpoints import read_pretrained
-from geoaim.prediction.config import MAX_HISTORY_STEPS, configure_fine_tuning
-from geoaim.prediction.dataset import hold_out_agents, make_dataset
+from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.evaluation import EvalConfig, judge
-from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import summarise
-from geoaim.prediction.training import learn_place, train
-from geoaim.rendering.scene import Scene, make_scene
+from geoaim.rendering.scene import make_scene
 from geoaim.tracking.pipeline import track_video
 from geoaim.tracks.agent_types import select_group
 from geoaim.tracks.changes import resample_tracks
@@ -44,7 +41,6 @@ from geoaim.tracks.tracks import Tracks
 
 PLACES = KINDS[:2]
 SECONDS, FRAME_RATE = 120.0, 10.0
-FRACTION = 0.3  # at the end, on which the models are judged
 METRICS = ("minADE", "minFDE")
 
 
@@ -65,7 +61,8 @@ def measure_case(case: FilmedCase, folder: Path | None) -> dict[str, Any]:
         assert plain is not None
         predictors[f"plain network, {name} tracks"] = plain.sample
         if folder is not None:
-            tuned = fine_tune(model, scene, folder / f"{case.name} {name}")
+            dataset = make_place_dataset(model, [scene], no_progress)
+            tuned = train_place(model, dataset, folder / f"{case.name} {name}", no_progress)
             predictors[f"ITRA, {name} tracks"] = tuned.sample
     if folder is not None:
         predictors["ITRA before"] = model.sample
@@ -97,15 +94,6 @@ def keep_vehicles_in_view(case: FilmedCase) -> Tracks:
     inside = ((middles > 0) & (middles < case.size[::-1])).all(axis=2).T
     vehicles = select_group(truth.types, "vehicle")
     return replace(truth, present=truth.present & inside & vehicles[:, None])
-
-
-def fine_tune(model: ITRA, scene: Scene, folder: Path) -> ITRA:
-    """Fine-tune a model on the beginning of a scene, as `geoaim train` does."""
-    dataset = make_dataset([scene], model.config, val_fraction=FRACTION, progress=no_progress)
-    learning, held_out = hold_out_agents(dataset.train)
-    dataset = replace(dataset, train=learning, val=held_out)
-    config = configure_fine_tuning("vehicle", steps=STEPS, batch_size=BATCH_SIZE)
-    return learn_place(train(model, config, dataset, folder, progress=no_progress), dataset)
 
 
 def make_cases(seed: int, folder: Path) -> Iterator[FilmedCase]:

@@ -109,7 +109,7 @@ def _judge_identities(data: dict[str, Any]) -> dict[str, float]:
     try:
         from trackeval.metrics import HOTA, Identity
     except ImportError:
-        hota, idf1 = _compute_hota(data), _compute_idf1(data)
+        hota, idf1 = _compute_hota(data), _judge_idf1(data)
     else:
         hota = float(HOTA().eval_sequence(data)["HOTA"].mean())
         idf1 = float(Identity({"PRINT_CONFIG": False}).eval_sequence(data)["IDF1"])
@@ -125,14 +125,18 @@ def _list_frames(data: dict[str, Any]) -> list[tuple[Array, Array, Array]]:
     return list(zip(data["gt_ids"], data["tracker_ids"], data["similarity_scores"], strict=True))
 
 
-def _compute_idf1(data: dict[str, Any]) -> float:
+def _judge_idf1(data: dict[str, Any]) -> float:
     """Compute IDF1 (Ristani et al. 2016): each agent has one track, so that most boxes agree."""
     shared = np.zeros((data["num_gt_ids"], data["num_tracker_ids"]))
     for agents, tracks, similarity in _list_frames(data):
         rows, columns = np.nonzero(similarity >= IDENTITY_IOU)
         shared[agents[rows], tracks[columns]] += 1
-    kept = shared[linear_sum_assignment(-shared)].sum()
-    return float(2 * kept / (data["num_gt_dets"] + data["num_tracker_dets"]))
+    return compute_idf1(shared, data["num_gt_dets"] + data["num_tracker_dets"])
+
+
+def compute_idf1(shared: Float[Array, "N M"], boxes: int) -> float:
+    """Compute IDF1 from how often each agent and track agree, and all boxes of both."""
+    return float(2 * shared[linear_sum_assignment(-shared)].sum() / boxes)
 
 
 def _compute_hota(data: dict[str, Any]) -> float:

@@ -12,31 +12,28 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import typer
-from scipy.optimize import linear_sum_assignment
 
 from benchmarks.data import require_data
+from benchmarks.realism.motion import read_sdd_resolutions
 from benchmarks.results import JsonFile, print_rows, write_rows
 from benchmarks.tracking.peers import list_peers
 from benchmarks.tracking.real import match_states
+from benchmarks.tracking.scores import compute_idf1
 from geoaim.base.world import World
 from geoaim.mapping.video.detections import DetectedBoxes, map_classes
 from geoaim.tracking import track_boxes
+from geoaim.tracks.formats.stanford import BOX, COLUMNS
 from geoaim.tracks.tracks import Tracks
 
 FOLDER = "tracks/sdd_raw"
-SCENES = {
-    "hyang/video7": 0.0354,
-    "gates/video6": 0.0342,
-    "nexus/video10": 0.044,
-}  # metres per pixel, as the data set estimates them
-NAMES = ("id", "left", "top", "right", "bottom", "frame", "lost", "occluded", "generated", "label")
+SCENES = "hyang/video7", "gates/video6", "nexus/video10"
 TYPES = {"Biker": "cyclist", "Pedestrian": "pedestrian", "Cart": "car", "Skater": "pedestrian"}
 STRIDE, RATE, SECONDS = 3, 10.0, 60.0
 
 
 def measure_scene(path: Path, resolution: float) -> list[dict[str, Any]]:
     """Measure all trackers on a minute of a scene; a row for each."""
-    table = pd.read_csv(path, sep=" ", header=None, names=list(NAMES))
+    table = pd.read_csv(path, sep=" ", header=None, names=list(COLUMNS))
     table = table[(table["lost"] == 0) & (table["frame"] % STRIDE == 0)]
     table = table.assign(step=table["frame"] // STRIDE)
     table = table[table["step"] < RATE * SECONDS]
@@ -49,7 +46,7 @@ def measure_scene(path: Path, resolution: float) -> list[dict[str, Any]]:
     for step in range(count):
         rows = table[table["step"] == step]
         kinds = [TYPES.get(label, label) for label in rows["label"]]
-        sides = rows[["left", "top", "right", "bottom"]].to_numpy(np.float64)
+        sides = rows[list(BOX)].to_numpy(np.float64)
         boxes.append(DetectedBoxes(sides, types=map_classes(kinds)))
     own = _make_truth(table, times, matrix, world)
     given = boxes, np.tile(matrix, (count, 1, 1)), times, world, size
@@ -76,18 +73,19 @@ def _score(own: Tracks, found: Tracks) -> dict[str, Any]:
     pairs, _ = match_states(own, found, 1.0)
     shared = np.zeros((len(own.ids), len(found.ids)))
     np.add.at(shared, tuple(pairs.T), 1)
-    kept = shared[linear_sum_assignment(-shared)].sum()
-    idf1 = float(2 * kept / (own.present.sum() + found.present.sum()))
+    idf1 = compute_idf1(shared, int(own.present.sum() + found.present.sum()))
     return {"agents": len(own.ids), "tracks": len(found.ids), "IDF1": idf1}
 
 
 def main(json: JsonFile = None) -> None:
     """Measure tracks of annotated boxes at 10 Hz."""
     folder = require_data(FOLDER)
+    scales = read_sdd_resolutions(folder / "estimated_scales.yaml")
     rows = print_rows(
         {"scene": scene} | row
-        for scene, resolution in SCENES.items()
-        for row in measure_scene(folder / scene / "annotations.txt.gz", resolution)
+        for scene in SCENES
+        for place, video in [scene.split("/")]
+        for row in measure_scene(folder / scene / "annotations.txt.gz", scales[place, video])
     )
     write_rows(rows, json, command="python -m benchmarks.tracking.stanford")
 

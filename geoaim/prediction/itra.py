@@ -467,10 +467,8 @@ class ITRA(nn.Module):
         others = gather_others(rollout)
         turns = torch.zeros_like(rollout.states[..., 0])
         turns = turns.index_put(batch.controlled.index, curvature)[batch.controlled.segment]
-        most = limit_acceleration(
-            pose, batch.sizes, curvature, *others[:2], turns, others[2], batch.segments.dt
-        )
         row, dt = batch.controlled.segment, batch.segments.dt
+        most = limit_acceleration(pose, batch.sizes, curvature, *others[:2], turns, others[2], dt)
         red = batch.segments.light_states[row, rollout.index] == RED
         stops = limit_for_red_lights(
             pose, batch.sizes, curvature, batch.segments.stop_lines[row], red, dt

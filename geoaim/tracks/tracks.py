@@ -171,19 +171,21 @@ class Tracks(Display):
             The parts.
         """
         agents, steps = np.nonzero(self.present)
+        states, observed, seen, uncertainty = (
+            self.get_rows(name) for name in ("states", "observed", "seen", "uncertainty")
+        )
         for begin in range(0, max(len(agents), 1), size or max(len(agents), 1)):
             part = slice(begin, None if size is None else begin + size)
             agent, step = agents[part], steps[part]
-            states = self.get_rows("states")[part]
-            values = np.column_stack([self.times[step], states, self.sizes[agent]])
+            values = np.column_stack([self.times[step], states[part], self.sizes[agent]])
             frame = pd.DataFrame(values, columns=list(COLUMNS[2:]))
             frame.insert(0, "id", np.array(self.ids, object)[agent])
             frame.insert(1, "type", np.array(self.types, object)[agent])
-            if (observed := self.get_rows("observed")) is not None:
+            if observed is not None:
                 frame[list(OBSERVED_COLUMNS)] = observed[part]
-            if (seen := self.get_rows("seen")) is not None:
+            if seen is not None:
                 frame[SEEN_COLUMN] = seen[part].astype(int)
-            if (uncertainty := self.get_rows("uncertainty")) is not None:
+            if uncertainty is not None:
                 frame[list(UNCERTAINTY_COLUMNS)] = uncertainty[part]
             yield frame
 
