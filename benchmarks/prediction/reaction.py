@@ -105,13 +105,10 @@ def run(workspace: Workspace) -> list[Path]:
     Returns:
         The files.
     """
-    places = {"sample": SAMPLE, "test": TEST}
-    parts = measure_places(read_pretrained("vehicle"), places, workspace)
     unruled = read_pretrained("vehicle")
     unruled.config = replace(unruled.config, brakes=False)
-    for part, rows in measure_places(unruled, places, workspace).items():
-        named = [{**row, "driver": UNRULED} for row in rows if row["driver"] == "model"]
-        parts[part] = sorted([*parts[part], *named], key=lambda row: row["places"])
+    models = {"model": read_pretrained("vehicle"), UNRULED: unruled}
+    parts = measure_places(models, {"sample": SAMPLE, "test": TEST}, workspace)
     return write_rows("reaction", parts, workspace)
 
 
@@ -120,11 +117,7 @@ def compare(workspace: Workspace) -> list[Path]:
     models = {"pretrained": read_pretrained("vehicle")}
     paths = sorted((workspace.models / "closed_loop").glob("*.pt"))
     models |= {path.stem: read_model(path) for path in paths}
-    parts: dict[str, list[Row]] = {"leaders": [], "closed loop": []}
-    for name, model in models.items():
-        for part, rows in measure_places(model, {name: VAL}, workspace).items():
-            new = name == "pretrained"  # IDM and the recording are the same beside each model
-            parts[part] += [row for row in rows if new or row["driver"] == "model"]
+    parts = measure_places(models, {"validation": VAL}, workspace)
     return write_rows("reaction_validation", parts, workspace)
 
 
@@ -140,19 +133,20 @@ def write_rows(name: str, parts: Mapping[str, Sequence[Row]], workspace: Workspa
 
 
 def measure_places(
-    model: ITRA, places: Mapping[str, Places], workspace: Workspace
+    models: Mapping[str, ITRA], places: Mapping[str, Places], workspace: Workspace
 ) -> dict[str, list[Row]]:
-    """Measure a model among leaders and in closed loop; IDM and the recording stand beside it."""
+    """Measure models among leaders and in closed loop; IDM and the recording stand beside them."""
+    resolution = next(iter(models.values())).config.resolution
     leaders, closed = [], []
     for name, some in places.items():
         cases, loops = [], []
         for seed, kind in some:
             workspace.progress(f"reaction, {kind} {seed}", 0, None)
             scene, rules = make_drawn_scene(kind, seed)
-            ground = prefilter_ground(scene.ground, model.config.resolution)
-            cases.append((model, find_followers(scene), ground))
-            loops += measure_closed_loop(model, scene, ground, rules)
-        leaders += measure_leaders(name, cases)
+            ground = prefilter_ground(scene.ground, resolution)
+            cases.append((find_followers(scene), ground))
+            loops += measure_closed_loop(models, scene, ground, rules)
+        leaders += measure_leaders(name, models, cases)
         closed += _sum_rows(name, loops)
     return {"leaders": leaders, "closed loop": closed}
 
@@ -262,33 +256,33 @@ def _drive_along(
     return np.stack([x, y, heading, speeds], axis=1)
 
 
-def measure_leaders(name: str, cases: Sequence[tuple[ITRA, Segments, Ground]]) -> list[Row]:
+def measure_leaders(
+    name: str, models: Mapping[str, ITRA], cases: Sequence[tuple[Segments, Ground]]
+) -> list[Row]:
     """Measure followers behind each kind of leader, and without any, at all places of a group."""
     rows = []
-    for driver in ("model", "IDM"):
-        free = [_drive(driver, *case) for case in cases]
+    for driver in (*models, "IDM"):
+        model = models.get(driver)
+        free = [_drive(model, *case) for case in cases]
         for title in (FREE, *SITUATIONS):
             parts = []
-            for case, alone in zip(cases, free, strict=True):
-                model, followers, ground = case
+            for (followers, ground), alone in zip(cases, free, strict=True):
                 if title == FREE:
                     parts.append(_compare(FREE, alone, alone, followers))
                     continue
                 led = put_in(followers, SITUATIONS[title])
-                parts.append(_compare(title, _drive(driver, model, led, ground), alone, led))
+                parts.append(_compare(title, _drive(model, led, ground), alone, led))
             values = {key: torch.cat([part[key].flatten() for part in parts]) for key in parts[0]}
             means = {key: round(float(value.float().nanmean()), 3) for key, value in values.items()}
-            recorded = float(torch.cat([f.states[:, 0, -1, 3] for _, f, _ in cases]).mean())
+            recorded = float(torch.cat([f.states[:, 0, -1, 3] for f, _ in cases]).mean())
             kept = {"places": name, "driver": driver, "leader": title, **means}
             rows.append({**kept, "recorded m/s after 6 s": round(recorded, 2)})
     return rows
 
 
-def _drive(
-    driver: str, model: ITRA, segments: Segments, ground: Ground
-) -> Float[Tensor, "B K N T 4"]:
-    """Drive the followers by the model or, on their recorded paths, as intelligent drivers."""
-    if driver == "model":
+def _drive(model: ITRA | None, segments: Segments, ground: Ground) -> Float[Tensor, "B K N T 4"]:
+    """Drive the followers by a model or, on their recorded paths, as intelligent drivers."""
+    if model is not None:
         generator = torch.Generator().manual_seed(0)
         return model.sample(segments, ground, history=HISTORY, samples=FUTURES, generator=generator)
     parts = [pick(segments, torch.tensor([row])) for row in range(len(segments))]
@@ -350,9 +344,9 @@ def _compare(
 
 
 def measure_closed_loop(
-    model: ITRA, scene: Scene, ground: Ground, rules: RoadRules
+    models: Mapping[str, ITRA], scene: Scene, ground: Ground, rules: RoadRules
 ) -> list[dict[str, Any]]:
-    """Drive all vehicles of a scene by the model, by IDM and as recorded, `CLOSED_STEPS` each time.
+    """Drive all vehicles of a scene by models, by IDM and as recorded, `CLOSED_STEPS` each time.
 
     Returns:
         For each piece of the scene and each driver, the sums and counts of each quantity.
@@ -362,38 +356,40 @@ def measure_closed_loop(
     for start in range(0, len(scene.times) - length + 1, CLOSED_STEPS):
         piece = slice_scene(scene, slice(start, start + length))
         segment = cut_scene(piece, "vehicle")
-        policy = ITRAPolicy(
-            model, segment, ground, history=HISTORY, generator=torch.Generator().manual_seed(start)
-        )
-        with torch.no_grad():
-            states = rollout(policy.scenario, policy, segment.controlled, history=HISTORY)[0]
         index = torch.tensor([scene.ids.index(name) for name in segment.ids[0]])
         controlled = torch.zeros(len(scene.ids), dtype=torch.bool)
         controlled[index] = segment.controlled[0]
-        poses = torch.full((len(scene.ids), length, 4), torch.nan)
-        poses[index] = states
         known = torch.isfinite(piece.observed).all(dim=2)
         piece = replace(piece, present=piece.present & known)
-        driven = apply_rollout(piece, poses, 0)
+        driven = {}
+        for name, model in models.items():
+            poses = torch.full((len(scene.ids), length, 4), torch.nan)
+            poses[index] = _drive_all(model, segment, ground, start)
+            driven[name] = apply_rollout(piece, poses, 0), controlled
         idm = simulate_scene(
             scene,
             "idm",
             start=float(piece.times[0]),
             duration=float(piece.times[-1] - piece.times[0]),
         )
-        for name, one, some in (
-            ("model", driven, controlled),
-            ("IDM", idm.scene, idm.controlled),
-            ("recording", piece, controlled),
-        ):
+        driven |= {"IDM": (idm.scene, idm.controlled), "recording": (piece, controlled)}
+        for name, (one, some) in driven.items():
             found.append({"driver": name, **_count(one, some, rules)})
-    for driver, predict in (("model", model.sample), (NOISY, BASELINES[NOISY])):
+    predictors = {name: model.sample for name, model in models.items()}
+    for driver, predict in {**predictors, NOISY: BASELINES[NOISY]}.items():
         errors = {
             f"minADE in {seconds} s": _measure_errors(predict, scene, ground, seconds)
             for seconds in HORIZONS_S
         }
         found.append({"driver": driver, **errors})
     return found
+
+
+def _drive_all(model: ITRA, segment: Segments, ground: Ground, seed: int) -> Float[Tensor, "N T 4"]:
+    generator = torch.Generator().manual_seed(seed)
+    policy = ITRAPolicy(model, segment, ground, history=HISTORY, generator=generator)
+    with torch.no_grad():
+        return rollout(policy.scenario, policy, segment.controlled, history=HISTORY)[0]
 
 
 def _measure_errors(
