@@ -12,7 +12,7 @@ import torch
 from matplotlib.colors import to_hex
 
 from geoaim.base.errors import TracksError
-from geoaim.base.limits import open_text, refuse_damaged
+from geoaim.base.limits import MAX_POSITION_M, MAX_TIME_S, open_text, refuse_damaged
 from geoaim.base.world import World
 from geoaim.prediction.config import DEFAULT_CONFIGS
 from geoaim.prediction.futures import Futures
@@ -101,8 +101,9 @@ def describe_futures_file(path: str | os.PathLike[str]) -> Description:
     with refuse_damaged(path, TracksError, "a .csv that `geoaim predict` wrote"):
         with open_text(path, TracksError) as file:
             table = pd.read_csv(file, comment="#", dtype={"id": str})
-        if table.empty or not np.isfinite(table[["time", "x", "y"]].to_numpy(float)).all():
-            raise ValueError("it has no rows, or a time, x or y that is not a finite number")
+        numbers = np.abs(table[["time", "x", "y"]].to_numpy(float))
+        if table.empty or not (numbers <= (MAX_TIME_S, MAX_POSITION_M, MAX_POSITION_M)).all():
+            raise ValueError("it has no rows, or a time, x or y that is not finite or too large")
         agents = [
             {
                 "id": str(name),

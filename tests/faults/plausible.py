@@ -15,7 +15,7 @@ from geoaim.tracks.tracks import Tracks
 
 # notes of any kind, and the size of the pixels of a picture of one colour
 NOT_MEASURED = ("report", "averaged_over")
-LIMITS_BY_NAME = {"video": MAX_RECORDING_S, "time": MAX_TIME_S}
+LIMITS_BY_NAME = {"video": MAX_RECORDING_S, **dict.fromkeys(("time", "start", ".end"), MAX_TIME_S)}
 
 
 def describe_implausible(value: object, *, warned: bool) -> str:

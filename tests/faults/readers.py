@@ -9,6 +9,7 @@ import numpy as np
 from geoaim.aim.files import read_aim
 from geoaim.aim.texture_files import read_texture
 from geoaim.base.errors import GeoaimError
+from geoaim.catalog.recordings import read_recordings
 from geoaim.hdmap.drivable import find_drivable_area, read_drivable_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.imagery.mosaic import read_imagery
@@ -24,6 +25,7 @@ from geoaim.prediction.windows import WindowFiles, read_windows
 from geoaim.rendering.ground import View
 from geoaim.tracks.formats import read_scenarionet_lights, read_tracks
 from geoaim.tracks.lights import StopLine, read_lights, read_stop_lines
+from geoaim.web.moving_layers import describe_futures_file
 from tests.faults import mutations as by
 from tests.faults.seeds import WORLD, resume_training
 
@@ -71,8 +73,11 @@ def _read_video(name: str) -> Callable[[Path], object]:
     return read
 
 
-def _read_boxes(folder: Path) -> object:
-    return read_detections(folder / "boxes")(Frame(0, 0.0, None, np.zeros((48, 64), np.uint8)))
+def _detections(file: str, name: str, mutations: tuple[by.Mutation, ...] = TEXT) -> Reader:
+    def read(folder: Path) -> object:
+        return read_detections(folder / name)(Frame(0, 0.0, None, np.zeros((48, 64), np.uint8)))
+
+    return Reader(file, mutations, read)
 
 
 def _read_windows(folder: Path) -> object:
@@ -152,7 +157,16 @@ READERS = {
     "SRT": Reader("bracketed.srt", TEXT, lambda f: read_srt(f / "bracketed.srt")),
     "SRT, older": Reader("older.srt", TEXT, lambda f: read_srt(f / "older.srt")),
     "photo": Reader("photo.jpg", BINARY, lambda f: read_exif([f / "photo.jpg"])),
-    "detections": Reader("boxes/0.txt", TEXT, _read_boxes),
+    "detections": _detections("boxes/0.txt", "boxes"),
+    "detections: CSV": _detections("detections.csv", "detections.csv"),
+    "detections: semicolons": _detections("semicolons.csv", "semicolons.csv"),
+    "detections: MOT": _detections("mot.txt", "mot.txt"),
+    "detections: COCO": _detections("coco.json", "coco.json", JSON),
+    "detections: COCO results": _detections("results.json", "results.json", JSON),
+    "detections: supervision": _detections("records.json", "records.json", JSON),
+    "detections: CVAT": _detections("cvat.xml", "cvat.xml", (*TEXT, by.mutate_xml)),
+    "futures": Reader("futures.csv", TEXT, lambda f: describe_futures_file(f / "futures.csv")),
+    "catalogue": Reader("catalog.csv", TEXT, lambda f: read_recordings(f / "catalog.csv")),
     "video: MP4": Reader("video.mp4", BINARY, _read_video("video.mp4")),
     "video: Matroska": Reader("video.mkv", BINARY, _read_video("video.mkv")),
     "video: AVI": Reader("video.avi", BINARY, _read_video("video.avi")),

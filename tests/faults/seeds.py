@@ -1,6 +1,7 @@
 """Small valid files in every format that geoaim reads, to be mutated."""
 
 import gzip
+import json
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -87,6 +88,44 @@ TABLES = {
     "bracketed.srt": "".join(BRACKETED.format(k) for k in range(1, 5)),
     "older.srt": "".join(OLDER.format(k) for k in range(1, 5)),
     "boxes/0.txt": "0 0.5 0.5 0.1 0.2\n2 0.25 0.3 0.05 0.04 0.9\n",
+    "detections.csv": "frame,left,top,right,bottom,score,class\n"
+    + "".join(f"{k},{5 + k},10,{15 + k},20,0.9,car\n" for k in range(6)),
+    "semicolons.csv": "frame;x;y;w;h\n" + "".join(f"{k};{5 + k},5;10;8;8\n" for k in range(6)),
+    "mot.txt": "".join(f"{k},1,{5 + k},10,10,10,0.9,-1,-1,-1\n" for k in range(1, 7)),
+    "coco.json": json.dumps(
+        {
+            "images": [
+                {"id": k, "file_name": f"{k}.jpg", "width": 64, "height": 48} for k in range(4)
+            ],
+            "annotations": [
+                {"id": k, "image_id": k, "category_id": 3, "bbox": [5 + k, 10, 10, 10]}
+                for k in range(4)
+            ],
+            "categories": [{"id": 3, "name": "car"}],
+        }
+    ),
+    "results.json": json.dumps(
+        [
+            {"image_id": k, "category_id": 3, "bbox": [5.0 + k, 10, 10, 10], "score": 0.9}
+            for k in range(4)
+        ]
+    ),
+    "records.json": json.dumps(
+        [
+            {"x_min": 5 + k, "y_min": 10, "x_max": 15 + k, "y_max": 20, "confidence": 0.9}
+            | {"class_id": 2, "tracker_id": "", "frame_number": k}
+            for k in range(4)
+        ]
+    ),
+    "cvat.xml": '<annotations><version>1.1</version><track id="0" label="car">'
+    + "".join(
+        f'<box frame="{k}" outside="0" xtl="{5 + k}" ytl="10" xbr="{15 + k}" ybr="20"/>'
+        for k in range(4)
+    )
+    + "</track></annotations>",
+    "futures.csv": "sample,time,id,x,y\n"
+    + "".join(f"{s},{k / 10},1,{185 + k},{235 + s}\n" for s in (0, 1) for k in range(4)),
+    "catalog.csv": "video,name,datetime\nvideo.mp4,a,2024-05-01T10:00:00Z\nvideo.mkv,b,\n",
     "scenes/scenes.csv": "scene,metres_per_pixel\ngates,0.04\n",
     "lines.geojson": '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": '
     '{"signal": "east"}, "geometry": {"type": "LineString", "coordinates": [[28.2909, 54.7004], '

@@ -29,6 +29,7 @@ YOLO_FIELDS = {5: False, 6: False, 7: False, 9: True, 10: True, 11: True}  # whe
 CLASS_NAMES = "classes.txt"  # a file with a class name in each line, beside the boxes
 DOTA_FIELDS = (9, 10)
 LETTERS_OF_NUMBERS = "eE"
+MAX_FRAME = 1e19  # nanoseconds since 1970 are less
 Kind = str  # "folder", "json", "xml", "numbers" or "table"
 
 
@@ -243,6 +244,13 @@ def _complete(rows: Any) -> pd.DataFrame:
     for name, value in defaults.items():
         if name not in table and (name != "name" or not {"frame", "time"} & set(table)):
             table[name] = value
+    numbers = [name for name in ("score", "frame", "time") if name in table]
+    table[numbers] = table[numbers].astype(float)
+    if np.isinf(table["score"]).any():
+        raise ValueError("a score is infinite")
+    for name in numbers[1:]:
+        if not (table[name].abs() < MAX_FRAME).all():
+            raise ValueError(f"a {name} is missing or is not below {MAX_FRAME:g}")
     return table
 
 

@@ -137,3 +137,24 @@ def test_names_of_supervisions_sink_are_known():
     found = read_frame(pd.DataFrame([values]))
     np.testing.assert_allclose(found.boxes, [BOX])
     assert (found.types, found.ids, found.scores.tolist()) == (("pedestrian",), ("7",), [0.5])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("1e300,1,5,10,10,10,0.9,-1,-1,-1\n2,1,5,10,10,10,0.9,-1,-1,-1\n", "frame is missing"),
+        ("1,1,5,10,10,10,inf,-1,-1,-1\n2,1,5,10,10,10,0.9,-1,-1,-1\n", "score is infinite"),
+    ],
+)
+def test_numbers_that_no_frame_or_score_has_are_refused(tmp_path, text, reason):
+    path = tmp_path / "mot.txt"
+    path.write_text(text)
+    with pytest.raises(GeoaimError, match=reason):
+        read_detections(path)
+
+
+def test_a_score_that_is_no_number_is_refused_when_the_file_is_read(tmp_path):
+    path = tmp_path / "results.json"
+    path.write_text('[{"image_id": 1, "category_id": 3, "bbox": [5, 5, 9, 9], "score": [1]}]')
+    with pytest.raises(GeoaimError, match=r"results\.json"):
+        read_detections(path)
