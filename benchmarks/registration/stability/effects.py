@@ -18,6 +18,7 @@ from benchmarks.registration.stability.motion import REFERENCE_WIDTH
 Image = UInt8[Array, "_ _ ..."]  # grey or RGB
 Effect = Callable[[Image, float, int, int], Image]
 WHOLE_VIDEO = {"overlay", "letterbox", "dust", "noise", "night", "flicker", "saturated"}
+WHOLE_VIDEO |= {"inset", "dark shadows"}
 
 
 def apply_effects(
@@ -37,6 +38,11 @@ def apply_effects(
     for name, level in effects:
         if name == "compression":
             frames = _compress(frames, level)
+        elif name == "freeze":
+            start = int(np.random.default_rng(seed).integers(len(frames) // 2))
+            width = round(level * frames[0].shape[1])
+            frozen = frames[start][:, :width]
+            frames = frames[:start] + [np.hstack([frozen, f[:, width:]]) for f in frames[start:]]
         elif name in ("double", "drop"):
             generator = np.random.default_rng(seed)
             chosen = generator.random(len(shown)) < level
@@ -166,6 +172,29 @@ def _cast_shadow(image: Image, level: float, seed: int, index: int) -> Image:
     return _to_bytes(image * np.where(position < level, 0.3, 1.0).astype(np.float32))
 
 
+def _cast_dark_shadows(image: Image, level: float, seed: int, index: int) -> Image:
+    """Hard shadows of small clouds over two fifths of the image, which move on together."""
+    height, width = image.shape[:2]
+    coarse = np.random.default_rng(seed).uniform(0, 1, (9, 18)).astype(np.float32)
+    field = cv2.resize(coarse, (2 * width, height), interpolation=cv2.INTER_CUBIC)
+    left = round(0.006 * width * index)
+    shadow = field[:, left : left + width] < np.quantile(field, 0.4)
+    return _to_bytes(image * np.where(shadow, level, 1.0).astype(np.float32))
+
+
+def _insert_still(image: Image, level: float, seed: int, index: int) -> Image:
+    """A picture that does not move on a share of the width: blocks of many sizes."""
+    generator = np.random.default_rng(seed)
+    image, height, width = image.copy(), len(image), round(level * image.shape[1])
+    still = generator.normal(110, 15, (height, width)).astype(np.float32)
+    for _ in range(int(300 * level)):
+        left, top = generator.integers(0, width), generator.integers(0, height)
+        right, bottom = (left, top) + generator.integers(5, 120, 2)
+        still[top:bottom, left:right] += generator.normal(0, 40)
+    image[:, :width] = _to_bytes(cv2.GaussianBlur(still, (0, 0), 1.0))
+    return image
+
+
 def _invert(image: Image, level: float, seed: int, index: int) -> Image:
     inverted = np.random.default_rng([seed, index]).random() < level
     return 255 - image if inverted else image
@@ -235,6 +264,8 @@ EFFECTS: dict[str, Effect] = {
     "overlay": _overlay_text,
     "letterbox": _letterbox,
     "shadow": _cast_shadow,
+    "dark shadows": _cast_dark_shadows,
+    "inset": _insert_still,
     "negative": _invert,
     "dust": _add_dust,
     "saturated": _saturate,

@@ -117,6 +117,19 @@ KINDS: dict[str, Kind] = {
     "compression": _affect("compression", "Mbit/s at 1080p", 20, 5, 2, 1, 0.5, 0.25, 0.1),
     "overlay text": _affect("overlay", "share", 0.05, 0.15, 0.3, 0.45, 0.6),
     "split screen": Kind("share", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6), lambda x: Disturbance(split=x)),
+    "frozen part": Kind(
+        "share",
+        (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9),
+        lambda x: Disturbance(drift=4, effects=(("freeze", x),)),
+    ),
+    "still inset": Kind(
+        "share",
+        (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8),
+        lambda x: Disturbance(drift=4, effects=(("inset", x),)),
+    ),
+    "calm split screen": Kind(
+        "share", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8), lambda x: Disturbance(split=x, drift=4)
+    ),
     "torn frame": Kind("px", (1, 3, 8, 20, 60), lambda x: Disturbance(torn=x)),
     "interlacing": Kind("px", (0.2, 0.5, 1, 2, 4, 8), lambda x: Disturbance(interlaced=x)),
     "rotation": Kind("degrees", (2, 8, 20, 45, 90, 180), lambda x: Disturbance(rotation=x)),
@@ -154,6 +167,7 @@ KINDS: dict[str, Kind] = {
     "doubled frames": _affect("double", "share", 0.1, 0.3, 0.5, 0.8),
     "letterbox": _affect("letterbox", "share", 0.1, 0.25, 0.4, 0.6, 0.8),
     "hard shadow": _affect("shadow", "share", 0.1, 0.3, 0.5, 0.7, 0.9),
+    "dark shadows": _affect("dark shadows", "share of light", 0.6, 0.4, 0.3, 0.2, 0.1, 0.05),
     "negative": _affect("negative", "share of frames", 0.2, 0.5, 1.0),
     "dust": _affect("dust", "specks", 5, 20, 80, 200, 500),
     "saturated": _affect("saturated", "share", 0.1, 0.3, 0.5, 0.7, 0.9),

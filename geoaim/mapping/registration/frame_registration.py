@@ -51,6 +51,7 @@ RESIDUAL_INFLATION_PX = 0.3  # residual that widens the uncertainty by nearly as
 MAX_MISLED_RATIO = 2.5  # largest widening by residuals, over the residual
 FROZEN_RATIO = 3.0  # the same where compression has frozen a part of the image
 MISFIT_QUANTILE = 0.8  # of the residuals, so that a fifth of the patches may lie on vehicles
+MISFIT_QUANTILE_AT_REST = 0.95  # where most of the image may be frozen
 FROZEN_QUANTILE = 0.25  # of the residuals, which a real image does not make smaller than 0.012 px
 MAX_MISFIT_PX = 4.0  # a larger residual is another motion
 GRID = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1, 5)), -1).reshape(-1, 2)
@@ -129,13 +130,17 @@ def register_frame(
     if alignment is None or not registration.valid:
         return best
     is_doubtful = registration.inlier_share < UNDOUBTED_INLIER_SHARE or chosen.overview.repeats
-    if not (compare or is_doubtful or is_at_rest(alignment, chosen.fine)):
+    before = np.linalg.inv(chosen.reference_from_keyframe) @ prior
+    rests = is_at_rest(alignment, chosen.fine, before)
+    if not (compare or is_doubtful or rests):
         return best
     try:
-        alignment, other = choose_placement(grey, chosen.fine, chosen.overview, alignment)
+        alignment, other = choose_placement(
+            grey, chosen.fine, chosen.overview, alignment, rests=rests
+        )
     except AmbiguousPlacementError as error:
         return reject(str(error)), alignment
-    registration = _check_alignment(chosen, alignment)
+    registration = _check_alignment(chosen, alignment, rests=rests)
     if other is not None:
         registration = replace(registration, other_placement=chosen.reference_from_keyframe @ other)
     return registration, alignment
@@ -215,7 +220,9 @@ def _propose_starts(
             yield target, start, True
 
 
-def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> FrameRegistration:
+def _check_alignment(
+    keyframe: Keyframe, alignment: PatchAlignment | None, *, rests: bool = False
+) -> FrameRegistration:
     """Reject an alignment that cannot be trusted; chain a good one to the reference."""
     if alignment is None:
         return reject("too few patches match the reference")
@@ -224,7 +231,7 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     quality = float(np.median(alignment.correlation[alignment.in_view]))
     size = keyframe.fine.width, keyframe.fine.height
     spread = predict_uncertainty(keyframe.fine, alignment.motion, GRID * size)
-    stated = _widen_uncertainty(spread, *_measure_misfit(alignment))
+    stated = _widen_uncertainty(spread, *_measure_misfit(alignment, rests=rests))
     total = float(np.hypot(stated, keyframe.uncertainty))
     reason = ""
     if in_view < MIN_INLIERS:
@@ -240,17 +247,19 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     return FrameRegistration(matrix, reason, quality, share, total)
 
 
-def _measure_misfit(alignment: PatchAlignment) -> tuple[float, bool]:
+def _measure_misfit(alignment: PatchAlignment, *, rests: bool) -> tuple[float, bool]:
     """Residual of the patches that match, px, NaN without any; and whether a part is frozen.
 
-    Strong compression repeats blocks of an earlier frame: they fit better than an image can.
+    Strong compression repeats blocks of an earlier frame: they fit better than an image can. Where
+    the placement `rests`, the small part that moves may be the ground.
     """
     matches = alignment.correlation[alignment.fitted] > MIN_INLIER_CORRELATION
     residuals = np.hypot(*alignment.motion.residuals.T)
     residuals = residuals[matches & (residuals < MAX_MISFIT_PX)]
     if not residuals.size:
         return np.nan, False
-    frozen, misfit = np.quantile(residuals, [FROZEN_QUANTILE, MISFIT_QUANTILE])
+    share = MISFIT_QUANTILE_AT_REST if rests else MISFIT_QUANTILE
+    frozen, misfit = np.quantile(residuals, [FROZEN_QUANTILE, share])
     return float(misfit), bool(frozen < INTERPOLATION_ERROR_PX)
 
 

@@ -87,8 +87,10 @@ def choose_placement(
     template: PatchTemplate,
     overview: Overview,
     alignment: PatchAlignment,
+    *,
+    rests: bool,
 ) -> tuple[PatchAlignment, Float[Array, "3 3"] | None]:
-    """Accept a placement unless another fits nearly as well.
+    """Accept a placement unless another fits nearly as well, or less if it `rests`.
 
     On repeating texture it is first moved to the period that fits best.
     """
@@ -103,12 +105,12 @@ def choose_placement(
             f"too little texture: on {compared.textured_share:.0%} of the image"
         )
     limit, travel = MAX_COMPETING_FIT_RATIO, _measure_travel(alignment.matrix, template)
-    if is_at_rest(alignment, template):
+    if rests:
         limit = MAX_COMPETING_FIT_RATIO_AT_REST
+    elif _measure_distance(compared.moving, alignment.matrix, template) < MIN_COMPETING_DISTANCE_PX:
+        limit = MAX_NEAR_FIT_RATIO
     elif travel > MIN_HOVERING_SHIFT_PX and _measure_travel(compared.moving, template) > 2 * travel:
         limit = MAX_COMPETING_FIT_RATIO_HOVERING
-    if _measure_distance(compared.moving, alignment.matrix, template) < MIN_COMPETING_DISTANCE_PX:
-        limit = MAX_NEAR_FIT_RATIO
     if compared.competing_fit_ratio > limit:
         share = min(compared.competing_fit_ratio, 1.0)
         raise AmbiguousPlacementError(
@@ -126,9 +128,15 @@ def choose_placement(
     return alignment, compared.moving if moves else None
 
 
-def is_at_rest(alignment: PatchAlignment, template: PatchTemplate) -> bool:
-    """Whether a placement does not move at all, like overlays and frozen images."""
-    return _measure_travel(alignment.matrix, template) < MAX_REST_SHIFT_PX
+def is_at_rest(
+    alignment: PatchAlignment, template: PatchTemplate, before: Float[Array, "3 3"]
+) -> bool:
+    """Whether a placement is that of the reference or of the frame `before`, to 0.05 px.
+
+    So are overlays and frozen images.
+    """
+    distance = _measure_distance(alignment.matrix, before, template)
+    return min(distance, _measure_travel(alignment.matrix, template)) < MAX_REST_SHIFT_PX
 
 
 def _measure_travel(reference_from_frame: Float[Array, "3 3"], template: PatchTemplate) -> float:
