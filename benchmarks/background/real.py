@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from geoaim.base.errors import RegistrationError
 from geoaim.mapping.background.running_mean import Background, Registered, average_frames
 from geoaim.mapping.background.traffic_removal import MIN_FRAMES
 from geoaim.mapping.background.traffic_search import remove_traffic
@@ -25,7 +26,11 @@ def measure_real(data: Path) -> Iterator[dict[str, Any]]:
     """Measure contested pixels, exposures and differences between methods on real sequences."""
     for place in PLACES:
         video, boxes = open_video(data / place), read_detections(data / place)
-        registration = register(video, detections=boxes)
+        try:
+            registration = register(video, detections=boxes)
+        except RegistrationError as error:
+            yield {"sequence": place, "registered": f"refused: {str(error).split(',')[0]}"}
+            continue
         pairs = zip(video, registration.reference_from_frame, strict=True)
         keep = [pair for pair, valid in zip(pairs, registration.valid, strict=True) if valid]
         row = {"sequence": place, "registered": f"{len(keep)} of {len(registration.valid)}"}

@@ -27,7 +27,7 @@ from geoaim.mapping.registration.patches import (
 MIN_TEXTURED_SHARE = 0.4  # smallest textured share of the image
 MAX_COMPETING_FIT_RATIO = 0.13  # share of the image that may fit at another placement
 # more if a camera hovers, so that the rest moves at least twice as far as the placement
-MAX_COMPETING_FIT_RATIO_HOVERING = 0.2
+MAX_COMPETING_FIT_RATIO_HOVERING = 0.45
 # less if the placement does not move at all, like overlays and frozen images
 MAX_COMPETING_FIT_RATIO_AT_REST = 0.065
 MAX_REST_SHIFT_PX = 0.05  # mean displacement of the corners

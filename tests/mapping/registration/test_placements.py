@@ -9,6 +9,7 @@ from geoaim.mapping.registration.placements import (
     AmbiguousPlacementError,
     choose_placement,
     compare_placements,
+    is_at_rest,
     make_overview,
 )
 from geoaim.mapping.video.frames import Frame
@@ -25,7 +26,8 @@ def place(reference, frame, start, *, factor=FACTOR, exclude=None):
     template = make_template(reference, exclude=exclude)
     found = align_patches(template, frame, start, "homography")
     overview = make_overview(shrink_image(reference, factor), scale=1 / factor, exclude=exclude)
-    return choose_placement(frame, template, overview, found)[0]
+    rests = is_at_rest(found, template, np.eye(3))
+    return choose_placement(frame, template, overview, found, rests=rests)[0]
 
 
 def film_traffic(shift, share, seed=0):
@@ -67,6 +69,35 @@ def test_less_may_move_in_a_frame_that_is_at_rest_as_overlays_are():
     reference, frame = film_traffic(shift=40, share=0.12)
     with pytest.raises(AmbiguousPlacementError, match="moves by itself"):
         place(reference, frame, np.eye(3))
+
+
+def test_near_motion_counts_in_a_frame_that_is_at_rest():
+    reference, frame = film_traffic(shift=4, share=0.2)
+    with pytest.raises(AmbiguousPlacementError, match="moves by itself"):
+        place(reference, frame, np.eye(3), factor=1)
+
+
+def test_traffic_on_a_third_leaves_the_placement_of_ground_that_moves_less():
+    reference, frame = film_traffic(shift=40, share=0.28)
+    expected = translation(-3.0, 0.0)  # the camera moved by three pixels
+    found = place(reference, np.roll(frame, 3, axis=1), expected)
+    assert np.abs(found.matrix - expected).max() < 0.05
+
+
+@pytest.mark.parametrize("before", [0.0, -5.0])
+def test_a_frozen_part_states_what_moves_beside_it(before):
+    """Most of the picture stays as it was, at the reference or later; a tenth moves on."""
+    generator = np.random.default_rng(4)
+    scene = make_grey_texture(generator, HEIGHT, WIDTH + 20)
+    reference, live = scene[:, 10 : 10 + WIDTH], scene[:, 7 : 7 + WIDTH]
+    frozen = np.roll(reference, int(before), axis=1)
+    frame = np.hstack([frozen[:, :400], live[:, 400:]])
+    none = Features(np.empty((0, 2)), np.empty((0, 32), np.uint8))
+    keyframe = make_keyframe(Frame(0, 0.0, None, reference.copy()), none, None, np.eye(3), 0.0)
+    result, _ = register_frame(
+        frame, [keyframe], keyframe, translation(-before, 0.0), "translation", compare=False
+    )
+    assert not result.valid or result.uncertainty > 0.6
 
 
 def test_more_may_move_by_a_few_pixels_as_roofs_and_trees_do():
