@@ -20,7 +20,7 @@ from numpy import ndarray as Array
 from benchmarks.data import require_data
 from benchmarks.registration.benchmark import measure_corner_distances
 from benchmarks.results import JsonFile, print_rows, write_rows
-from geoaim.mapping.registration.register import Registration, register
+from geoaim.mapping.registration.register import Registration, count_reasons, register
 from geoaim.mapping.video.detections import Detections, read_detections
 
 SEQUENCES = ("minsk_junction", "minsk_street", "munich_mos074", "munich_street02")
@@ -39,13 +39,13 @@ def measure_consistency(folder: Path, boxes: Detections | None) -> dict[str, Any
     pairs = list(permutations(others, 2))
     backward = np.concatenate([_measure_forward_backward(*pair) for pair in pairs])
     loops = np.concatenate([_measure_loop(*pair) for pair in pairs])
-    rejected = {reason for reason in first.reason if reason}
+    rejected = count_reasons(first.reason)
     return {
         "sequence": folder.name,
         "boxes": "yes" if boxes else "no",
         "model": model,
         "registered": f"{first.valid.sum()} of {len(first.valid)}",
-        "rejected_because": "; ".join(sorted(rejected)) or "-",
+        "rejected_because": "; ".join(rejected) or "-",
         "uncertainty_px": float(np.median(first.uncertainty[first.valid])),
         "forward_backward_px": float(np.nanmedian(backward)),
         "loop_px": float(np.nanmedian(loops)),

@@ -17,6 +17,7 @@ from benchmarks.background.methods import (
 )
 from benchmarks.background.queue_clips import QueueClip, paste_queue
 from benchmarks.background.signal_queue import film_signal
+from geoaim.base.errors import RegistrationError
 from geoaim.base.progress import no_progress
 from geoaim.mapping.background.running_mean import Background
 from geoaim.mapping.video.detections import read_detections
@@ -176,3 +177,15 @@ def test_boxes_of_a_signal_hold_its_vehicles(speed):
         for left, top, right, bottom in boxes.astype(int).tolist():
             outside[max(top - 1, 0) : bottom + 8, max(left - 1, 0) : right + 5] = False  # shadows
         assert np.abs(image.astype(int) - clip.ground)[outside].max() < 40
+
+
+def test_a_sequence_that_is_refused_is_a_row_of_the_table(monkeypatch, tmp_path):
+    def refuse(*_, **__):
+        raise RegistrationError("a part moves by itself in 18 of 20 frames, so that ...")
+
+    monkeypatch.setattr(background_real, "PLACES", ("place",))
+    for name in ("open_video", "read_detections"):
+        monkeypatch.setattr(background_real, name, lambda path: None)
+    monkeypatch.setattr(background_real, "register", refuse)
+    row = {"sequence": "place", "registered": "refused: a part moves by itself in 18 of 20 frames"}
+    assert list(background_real.measure_real(tmp_path)) == [row]

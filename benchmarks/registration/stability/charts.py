@@ -160,7 +160,8 @@ def main(
             methods += [row for row in known["methods"] if row["method"] != "geoaim"]
             theirs = {row["kind"]: row for row in known["rows"]}
             for row in rows:
-                row |= {key: v for key, v in theirs[row["kind"]].items() if is_of_rival(key)}
+                known_of_kind = theirs.get(row["kind"], {})  # none of a newer kind
+                row |= {key: v for key, v in known_of_kind.items() if is_of_rival(key)}
         content = {
             "command": command,
             "machine": describe_machine(),
