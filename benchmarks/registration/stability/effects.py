@@ -189,7 +189,7 @@ def _insert_still(image: Image, level: float, seed: int, index: int) -> Image:
     still = generator.normal(110, 15, (height, width)).astype(np.float32)
     for _ in range(int(300 * level)):
         left, top = generator.integers(0, width), generator.integers(0, height)
-        right, bottom = (left, top) + generator.integers(5, 120, 2)
+        right, bottom = np.array([left, top]) + generator.integers(5, 120, 2)
         still[top:bottom, left:right] += generator.normal(0, 40)
     image[:, :width] = _to_bytes(cv2.GaussianBlur(still, (0, 0), 1.0))
     return image

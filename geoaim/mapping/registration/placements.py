@@ -31,6 +31,7 @@ MAX_COMPETING_FIT_RATIO_HOVERING = 0.45
 # less if the placement does not move at all, like overlays and frozen images
 MAX_COMPETING_FIT_RATIO_AT_REST = 0.065
 MAX_REST_SHIFT_PX = 0.05  # mean displacement of the corners
+MAX_FROZEN_SHIFT_PX = 0.005  # from the frame before; of a calm drone 1 % of the frames move less
 # a camera that hovers moves more; frozen blocks of H.264 move less
 MIN_HOVERING_SHIFT_PX = 1.0
 # another placement that is nearer does not count unless it fits nearly as well: roofs and trees
@@ -131,12 +132,14 @@ def choose_placement(
 def is_at_rest(
     alignment: PatchAlignment, template: PatchTemplate, before: Float[Array, "3 3"]
 ) -> bool:
-    """Whether a placement is that of the reference or of the frame `before`, to 0.05 px.
+    """Whether a placement is that of the reference or of the frame `before`.
 
     So are overlays and frozen images.
     """
-    distance = _measure_distance(alignment.matrix, before, template)
-    return min(distance, _measure_travel(alignment.matrix, template)) < MAX_REST_SHIFT_PX
+    return (
+        _measure_travel(alignment.matrix, template) < MAX_REST_SHIFT_PX
+        or _measure_distance(alignment.matrix, before, template) < MAX_FROZEN_SHIFT_PX
+    )
 
 
 def _measure_travel(reference_from_frame: Float[Array, "3 3"], template: PatchTemplate) -> float:
