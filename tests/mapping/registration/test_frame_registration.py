@@ -70,9 +70,9 @@ def test_parts_that_disagree_widen_the_statement(keyframes):
 
 
 def test_blocks_that_compression_froze_widen_the_statement(keyframes):
-    moved = view(0).copy()
+    moved = view(5).copy()
     right = np.s_[:, 7 * moved.shape[1] // 10 :]
-    moved[right] = np.rint(view(0)[right] * 0.5 + view(1)[right] * 0.5).astype(np.uint8)
+    moved[right] = np.rint(view(5)[right] * 0.5 + view(6)[right] * 0.5).astype(np.uint8)
     noise = np.random.default_rng(0).normal(0, 3, moved.shape)
     noisy = np.rint(moved + noise).clip(0, 255).astype(np.uint8)
     frozen, alive = (
