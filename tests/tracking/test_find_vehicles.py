@@ -78,6 +78,15 @@ def test_neighbours_are_told_apart():
     np.testing.assert_allclose(np.sort(shapes.corners.mean(axis=1)[:, 0]), [27.5, 47.5], atol=1.5)
 
 
+def test_the_blur_of_a_rim_makes_no_vehicle_longer():
+    difference = np.zeros((60, 80))
+    difference[20:36, 20:58] = 3.5  # tolerances
+    strength = (UNIT * cv2.GaussianBlur(difference, (0, 0), 1.0)).clip(0, 255).astype(np.uint8)
+    [corners] = find_shapes(strength, 0 * strength, 0.12, np.zeros(2)).corners
+    sides = np.linalg.norm(np.diff(corners[:3], axis=0), axis=1)
+    np.testing.assert_allclose(sides, [38, 16], atol=1.0)
+
+
 def test_a_dark_car_whose_roof_looks_like_shadow_is_one():
     strength = np.zeros((60, 80), np.uint8)
     strength[20:36, 20:58] = 2 * UNIT
