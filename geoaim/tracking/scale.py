@@ -14,7 +14,6 @@ from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.tracking.find_vehicles import search_frames
 from geoaim.tracking.frame_poses import locate_frames
-from geoaim.tracking.ground_grid import MIN_RESOLUTION
 from geoaim.tracks.agent_types import TYPICAL_SIZES
 from geoaim.tracks.tracks import Tracks
 
@@ -23,7 +22,6 @@ STARTS = (0.08, 0.02, 0.3)  # metres per pixel with which the search begins
 MAX_STEPS, TOLERANCE = 6, 0.03  # of the scale from one search to the next, as a share
 MIN_BOXES = 20  # in all of these frames
 SLIMNESS = (1.7, 3.2)  # length over width of cars
-RIM = 2.0  # cells by which boxes that are found are longer and wider than their vehicles
 SIGMA = 0.2  # standard deviation of a proposed scale, as a share
 MIN_FACTOR = 2.0  # by which vehicles are smaller or larger than cars where the scale is doubted
 CAR_M = float(np.sqrt(np.prod(TYPICAL_SIZES["car"])))  # square root of its area
@@ -68,7 +66,7 @@ def propose_scale(
             scaled = replace(aim, world_from_image=larger @ aim.world_from_image)
             placed = replace(poses, world_from_frame=larger @ poses.world_from_frame)
             try:
-                sides = _measure(search_frames(small, scaled, placed), resolution)
+                sides = _measure(search_frames(small, scaled, placed))
             except TracksError:  # no scale at which vehicles are found
                 break
             count, last = len(sides), resolution
@@ -96,12 +94,11 @@ def _reduce(video: Video) -> tuple[Video, float]:
     return open_video(frames, rate=video.rate), size[0] / video.width
 
 
-def _measure(found: list[DetectedBoxes | None], resolution: float) -> Float[Array, " n"]:
+def _measure(found: list[DetectedBoxes | None]) -> Float[Array, " n"]:
     """Square roots of the areas of boxes that are as slim as cars, pixels."""
     corners = [boxes.get_corners() for boxes in found if boxes is not None]
     edges = np.diff(np.concatenate([*corners, np.empty((0, 4, 2))])[:, :3], axis=1)
-    rim = RIM * max(resolution, MIN_RESOLUTION) / resolution
-    width, length = np.sort(np.linalg.norm(edges, axis=2) - rim, axis=1).T
+    width, length = np.sort(np.linalg.norm(edges, axis=2), axis=1).T
     slim = (width > 0) & (length > SLIMNESS[0] * width) & (length < SLIMNESS[1] * width)
     return np.asarray(np.sqrt(length[slim] * width[slim]))
 
