@@ -18,7 +18,8 @@ UNIT = 64  # of a difference as large as the tolerance
 MIN_STANDING = 0.2  # share of the frames in which a cell looks different, but alike
 STANDING_SCATTER = 10.0  # grey levels within which it looks alike
 MIN_STANDING_M2 = 1.5
-BOUNDARY_GAIN = 0.85  # the ground's boundary has less contrast than a vehicle's, by this factor
+MAX_EDGE = 100.0  # Sobel; of a step of 25 grey levels
+BOUNDARY_GAIN = 0.95  # the ground's boundary has less contrast than a vehicle's, by this factor
 SHADOW_RATIOS = (0.3, 0.93)  # of brightness in shadow and beside it
 SHADOW_TINT = 0.09  # differences of the colours' ratios in a shadow
 CLEAR = 1.5  # times the tolerance, of differences that tell how dark shadows are
@@ -134,19 +135,36 @@ def _uncover_ground(
     resolution: float,
 ) -> UInt8[Array, "H W 3"]:
     """Replace what stood in the map, and left, by what was seen under it."""
-    share = sum((d > tolerance).view(np.uint8) for d in differences)
-    cells = np.flatnonzero(share > MIN_STANDING * len(stack))
-    if not len(cells):
-        return ground
-    values = np.stack([frame.reshape(-1, 3)[cells] for frame in stack]).astype(np.float32)
-    differs = np.stack([(d > tolerance).ravel()[cells] for d in differences])
-    values[~differs] = np.nan
-    middle = np.nanmedian(values, axis=0)
-    scatter = np.nanmedian(np.abs(values - middle).max(axis=2), axis=0)
-    alike = scatter < STANDING_SCATTER
+    differs = [d > tolerance for d in differences]
+    share = sum(one.view(np.uint8) for one in differs)
+    found = [(share > MIN_STANDING * len(stack), None)]
+    found += [(differs[end] & (share > 1), end) for end in (0, -1)]
+    for chosen, end in found:
+        cells = np.flatnonzero(chosen)
+        if not len(cells):
+            continue
+        values = np.stack([frame.reshape(-1, 3)[cells] for frame in stack]).astype(np.float32)
+        used = np.stack([one.reshape(-1)[cells] for one in differs])
+        if end is not None:
+            used &= np.abs(values - values[end]).max(axis=2) < STANDING_SCATTER
+        values[~used] = np.nan
+        middle = np.nanmedian(values, axis=0)
+        scatter = np.nanmedian(np.abs(values - middle).max(axis=2), axis=0)
+        alike = (scatter < STANDING_SCATTER) & (used.sum(axis=0) > 1)
+        ground = _fill(ground, cells[alike], middle[alike], resolution)
+    return ground
+
+
+def _fill(
+    ground: UInt8[Array, "H W 3"],
+    cells: Int[Array, " n"],
+    values: Float32[Array, "n 3"],
+    resolution: float,
+) -> UInt8[Array, "H W 3"]:
+    """Give cells other values, where groups of them have boundaries with less contrast then."""
     other, mask = ground.copy(), np.zeros(ground.shape[:2], np.uint8)
-    other.reshape(-1, 3)[cells[alike]] = np.rint(middle[alike])
-    mask.reshape(-1)[cells[alike]] = 1
+    other.reshape(-1, 3)[cells] = np.rint(values)
+    mask.reshape(-1)[cells] = 1
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3))), np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
     ring = cv2.dilate(mask, np.ones((3, 3))) - cv2.erode(mask, np.ones((3, 3)))
@@ -160,9 +178,10 @@ def _uncover_ground(
 
 
 def _measure_edges(image: UInt8[Array, "H W 3"]) -> Float32[Array, "H W"]:
-    """Measure the strength of edges."""
+    """Measure the strength of edges; of strong ones it counts that they are there."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    edges = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    return np.minimum(edges, MAX_EDGE)
 
 
 def _compute_ratio(
