@@ -14,6 +14,7 @@ NOISE_FACTOR = 2.5  # standard deviations of a cell's noise that are no differen
 MIN_DIFFERENCE = 9.0  # grey levels
 GAIN_STEP = 101  # every which cell is compared for the gain
 LEVELS = (1, 2, 3, 4, 6, 8, 10, 13)  # grey levels at which the differences of a cell are counted
+MANY = 2.0  # times the typical difference; such a cell may be of what stands
 UNIT = 64  # of a difference as large as the tolerance
 MIN_STANDING = 0.2  # share of the frames in which a cell looks different, but alike
 STANDING_SCATTER = 10.0  # grey levels within which it looks alike
@@ -116,6 +117,9 @@ def learn_ground(
             "vehicles are found without a detector on a map of the same video: build it with "
             "geoaim build, or give boxes (--detections)"
         )
+    lasting = (median > MANY * typical).view(np.uint8)
+    broad = np.asarray(cv2.morphologyEx(lasting, cv2.MORPH_OPEN, np.ones((5, 5)))) > 0
+    median[broad] = _measure_scatter(stack, np.flatnonzero(broad))
     dilated = cv2.dilate(median, np.ones((3, 3)))
     median = np.asarray(cv2.GaussianBlur(dilated, (5, 5), 1.0), np.uint8)
     tolerance = np.asarray(MIN_DIFFERENCE + NOISE_FACTOR * 1.4826 * median, np.uint8)
@@ -127,6 +131,16 @@ def learn_ground(
     return replace(ground, sun=_find_sun(ground, stack, differences))
 
 
+def _measure_scatter(
+    stack: list[UInt8[Array, "H W 3"]], cells: Int[Array, " n"]
+) -> UInt8[Array, " n"]:
+    """Measure how cells scatter in time, in grey levels: little under what stands."""
+    values = np.stack([frame.reshape(-1, 3)[cells] for frame in stack])
+    middle = np.median(values, axis=0).astype(np.uint8)
+    off = np.maximum(values, middle) - np.minimum(values, middle)
+    return np.median(off.max(axis=2), axis=0).clip(LEVELS[0], LEVELS[-1]).astype(np.uint8)
+
+
 def _uncover_ground(
     ground: UInt8[Array, "H W 3"],
     stack: list[UInt8[Array, "H W 3"]],
@@ -135,12 +149,12 @@ def _uncover_ground(
     resolution: float,
 ) -> UInt8[Array, "H W 3"]:
     """Replace what stood in the map, and left, by what was seen under it."""
+    # cells that look different for long, or as they do at the start, or at the end
     differs = [d > tolerance for d in differences]
     share = sum(one.view(np.uint8) for one in differs)
-    found = [(share > MIN_STANDING * len(stack), None)]
-    found += [(differs[end] & (share > 1), end) for end in (0, -1)]
-    for chosen, end in found:
-        cells = np.flatnonzero(chosen)
+    for end in (None, 0, -1):
+        long = share > MIN_STANDING * len(stack)
+        cells = np.flatnonzero(long if end is None else differs[end] & (share > 1))
         if not len(cells):
             continue
         values = np.stack([frame.reshape(-1, 3)[cells] for frame in stack]).astype(np.float32)
