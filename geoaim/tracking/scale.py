@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy import ndimage
 
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import TracksError, warn
@@ -22,6 +23,7 @@ STARTS = (0.08, 0.02, 0.3)  # metres per pixel with which the search begins
 MAX_STEPS, TOLERANCE = 6, 0.03  # of the scale from one search to the next, as a share
 MIN_BOXES = 20  # in all of these frames
 SLIMNESS = (1.7, 3.2)  # length over width of cars
+WINDOW = 0.12  # standard deviation of the logarithms of sizes of cars
 SIGMA = 0.2  # standard deviation of a proposed scale, as a share
 MIN_FACTOR = 2.0  # by which vehicles are smaller or larger than cars where the scale is doubted
 CAR_M = float(np.sqrt(np.prod(TYPICAL_SIZES["car"])))  # square root of its area
@@ -72,7 +74,7 @@ def propose_scale(
             count, last = len(sides), resolution
             if count < MIN_BOXES:
                 break
-            resolution = CAR_M / _find_middle(sides)
+            resolution = CAR_M / _find_most(sides)
             if abs(resolution / last - 1) < TOLERANCE:
                 break
         if count >= MIN_BOXES:
@@ -103,11 +105,13 @@ def _measure(found: list[DetectedBoxes | None]) -> Float[Array, " n"]:
     return np.asarray(np.sqrt(length[slim] * width[slim]))
 
 
-def _find_middle(sides: Float[Array, " n"]) -> float:
-    """The median by area: many small pieces count little."""
-    ordered = np.sort(sides)
-    areas = np.cumsum(ordered**2)
-    return float(ordered[np.searchsorted(areas, areas[-1] / 2)])
+def _find_most(sides: Float[Array, " n"]) -> float:
+    """The side about which most lie, as shares of it; a small piece counts less than a vehicle."""
+    logs = np.log(sides)
+    steps = np.arange(logs.min() - WINDOW, logs.max() + WINDOW, WINDOW / 20)
+    counts, _ = np.histogram(logs, steps, weights=sides)
+    smooth = ndimage.gaussian_filter1d(counts, 20)
+    return float(np.exp(steps[smooth.argmax()] + WINDOW / 40))
 
 
 def check_scale(tracks: Tracks, aim: AIM) -> float | None:
@@ -126,7 +130,7 @@ def check_scale(tracks: Tracks, aim: AIM) -> float | None:
         return None
     if len(tracks.ids) < MIN_AGENTS:
         return None
-    factor = CAR_M / _find_middle(np.sqrt(tracks.sizes.prod(axis=1)))
+    factor = CAR_M / _find_most(np.sqrt(tracks.sizes.prod(axis=1)))
     if 1 / MIN_FACTOR < factor < MIN_FACTOR:
         return None
     length, width = np.array(TYPICAL_SIZES["car"]) / factor
