@@ -4,7 +4,8 @@
 
 What a drone sees of a made place, turned by any angle; its scale is wrong by up to 20 %, and its
 middle is said to be up to 30 m away. The picture is of another day and sensor. Errors are those of
-the map's corners, in pixels of the picture. Then pictures of other places, which must be refused.
+the map's corners, in pixels of the picture. Then maps of a camera that is tilted by about 1 degree,
+and pictures of other places, which must be refused.
 """
 
 import time
@@ -19,27 +20,36 @@ from benchmarks.alignment.pairs import Pair, make_pairs, move_to_aim
 from benchmarks.results import JsonFile, Row, print_rows, write_rows
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import AlignmentError, GeoreferenceError
-from geoaim.base.geometry import make_similarity, to_opencv, transform_points
+from geoaim.base.geometry import make_similarity, to_opencv, translation
 from geoaim.base.progress import no_progress
 from geoaim.base.world import World, change_world, lonlat_from_world
 from geoaim.imagery.alignment.placing import place_by_imagery
 
-VALIDATION_SEED, TEST_SEED = 11, 21  # of the places, one of each kind
-TRIALS, OTHERS = 5, 2  # views of each place; of them with the picture of another place
+VALIDATION_SEED, TEST_SEED = 11, 21  # of the first places, one of each kind
+SEEDS = 3  # of places, and so of resolutions of the picture
+TRIALS, TILTED, OTHERS = 5, 3, 2  # views of each place; tilted ones; with another one's picture
 SIZE_PX = (540, 960)  # of a view
 RESOLUTIONS = (0.15, 0.2)  # metres per pixel, between which a view's lies
 MAX_OFF_M, MAX_SCALING = 30.0, 0.2
+TILT = 0.016  # of tilted views, per half of the diagonal; 1 degree for a field of view of 84
 MAX_ERROR_PX = 2.0  # of a corner; a larger one that is not refused is wrong
 
 
-def look_at(pair: Pair, generator: np.random.Generator) -> AIM:
-    """Look at a part of a place from a drone, in any direction: the map in its true place."""
+def look_at(pair: Pair, generator: np.random.Generator, tilt: float = 0.0) -> AIM:
+    """Look at a part of a place from a drone, in any direction: the map in its true place.
+
+    The scale of a tilted map changes by that share (one sigma) over half of its diagonal.
+    """
     height, width = SIZE_PX
     resolution, angle = generator.uniform(*RESOLUTIONS), generator.uniform(-np.pi, np.pi)
     low, high = pair.aim.corners.min(axis=0), pair.aim.corners.max(axis=0)
     middle = (low + high) / 2 + generator.uniform(-0.1, 0.1, 2) * (high - low)
     turn = make_similarity(np.zeros(2), angle, resolution) @ np.diag([1.0, -1.0, 1.0])
-    turn[:2, 2] = middle - transform_points(turn, np.array([[width / 2, height / 2]]))[0]
+    turn[:2, 2] = middle
+    lean = np.eye(3)
+    lean[2, :2] = generator.normal(0.0, 2 * tilt / np.hypot(height, width), 2)
+    turn = turn @ lean @ translation(-width / 2, -height / 2)
+    turn = turn / turn[2, 2]
     matrix = to_opencv(np.linalg.inv(turn) @ pair.aim.world_from_image)
     image, covered = (
         cv2.warpPerspective(one, matrix, (width, height), flags=cv2.INTER_AREA)
@@ -99,17 +109,24 @@ def main(
     cv2.setNumThreads(2)
     seed = VALIDATION_SEED if validation else TEST_SEED
     generator = np.random.default_rng(seed)
-    pairs = list(make_pairs(1, first=seed))
+    pairs = list(make_pairs(SEEDS, first=seed))
     here: list[Row] = []
+    tilted: list[Row] = []
     elsewhere: list[Row] = []
     for pair, other in zip(pairs, pairs[1:] + pairs[:1], strict=True):
         views = [look_at(pair, generator) for _ in range(TRIALS)]
         here += print_rows(measure_case(pair, view, generator) for view in views)
+        leaning = [look_at(pair, generator, TILT) for _ in range(TILTED)]
+        tilted += print_rows(measure_case(pair, view, generator) for view in leaning)
         wrong = move_to_aim(replace(other, aim=pair.aim))
         elsewhere += print_rows(measure_case(wrong, view, generator) for view in views[:OTHERS])
     rows = print_rows(
         summarize(name, cases)
-        for name, cases in (("the place, another day", here), ("another place", elsewhere))
+        for name, cases in (
+            ("the place, another day", here),
+            ("the same, the map tilted", tilted),
+            ("another place", elsewhere),
+        )
     )
     write_rows(rows, json, command="python -m benchmarks.alignment.placing")
 

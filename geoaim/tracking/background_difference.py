@@ -14,17 +14,19 @@ NOISE_FACTOR = 2.5  # standard deviations of a cell's noise that are no differen
 MIN_DIFFERENCE = 9.0  # grey levels
 GAIN_STEP = 101  # every which cell is compared for the gain
 LEVELS = (1, 2, 3, 4, 6, 8, 10, 13)  # grey levels at which the differences of a cell are counted
+MANY = 2.0  # times the typical difference; such a cell may be of what stands
 UNIT = 64  # of a difference as large as the tolerance
 MIN_STANDING = 0.2  # share of the frames in which a cell looks different, but alike
 STANDING_SCATTER = 10.0  # grey levels within which it looks alike
 MIN_STANDING_M2 = 1.5
-BOUNDARY_GAIN = 0.85  # the ground's boundary has less contrast than a vehicle's, by this factor
+MAX_EDGE = 100.0  # Sobel; of a step of 25 grey levels
+BOUNDARY_GAIN = 0.95  # the ground's boundary has less contrast than a vehicle's, by this factor
 SHADOW_RATIOS = (0.3, 0.93)  # of brightness in shadow and beside it
 SHADOW_TINT = 0.09  # differences of the colours' ratios in a shadow
 CLEAR = 1.5  # times the tolerance, of differences that tell how dark shadows are
 MIN_SHADOW_SHARE = 0.05  # of what differs; less is no shadow
 SHADOW_MARGIN = 0.1  # by which the ratio in a shadow may be lower than in most of them
-SHADOW_REACH_M, GLASS_REACH_M = 3.0, 1.5  # of a shadow from its vehicle; of glass between its parts
+SHADOW_REACH_M, GLASS_REACH_M = 4.5, 1.5  # of a shadow from its vehicle; of glass between its parts
 MAX_VEHICLE_M2 = 60.0  # with its shadow
 MIN_SUN, MIN_SUN_VEHICLES = 0.4, 20  # agreement of the directions of shadows, and how many
 SMOOTHING = 0.7  # cells; standard deviation of the blur of frames and map
@@ -115,6 +117,9 @@ def learn_ground(
             "vehicles are found without a detector on a map of the same video: build it with "
             "geoaim build, or give boxes (--detections)"
         )
+    lasting = (median > MANY * typical).view(np.uint8)
+    broad = np.asarray(cv2.morphologyEx(lasting, cv2.MORPH_OPEN, np.ones((5, 5)))) > 0
+    median[broad] = _measure_scatter(stack, np.flatnonzero(broad))
     dilated = cv2.dilate(median, np.ones((3, 3)))
     median = np.asarray(cv2.GaussianBlur(dilated, (5, 5), 1.0), np.uint8)
     tolerance = np.asarray(MIN_DIFFERENCE + NOISE_FACTOR * 1.4826 * median, np.uint8)
@@ -126,6 +131,16 @@ def learn_ground(
     return replace(ground, sun=_find_sun(ground, stack, differences))
 
 
+def _measure_scatter(
+    stack: list[UInt8[Array, "H W 3"]], cells: Int[Array, " n"]
+) -> UInt8[Array, " n"]:
+    """Measure how cells scatter in time, in grey levels: little under what stands."""
+    values = np.stack([frame.reshape(-1, 3)[cells] for frame in stack])
+    middle = np.median(values, axis=0).astype(np.uint8)
+    off = np.maximum(values, middle) - np.minimum(values, middle)
+    return np.median(off.max(axis=2), axis=0).clip(LEVELS[0], LEVELS[-1]).astype(np.uint8)
+
+
 def _uncover_ground(
     ground: UInt8[Array, "H W 3"],
     stack: list[UInt8[Array, "H W 3"]],
@@ -134,19 +149,36 @@ def _uncover_ground(
     resolution: float,
 ) -> UInt8[Array, "H W 3"]:
     """Replace what stood in the map, and left, by what was seen under it."""
-    share = sum((d > tolerance).view(np.uint8) for d in differences)
-    cells = np.flatnonzero(share > MIN_STANDING * len(stack))
-    if not len(cells):
-        return ground
-    values = np.stack([frame.reshape(-1, 3)[cells] for frame in stack]).astype(np.float32)
-    differs = np.stack([(d > tolerance).ravel()[cells] for d in differences])
-    values[~differs] = np.nan
-    middle = np.nanmedian(values, axis=0)
-    scatter = np.nanmedian(np.abs(values - middle).max(axis=2), axis=0)
-    alike = scatter < STANDING_SCATTER
+    # cells that look different for long, or as they do at the start, or at the end
+    differs = [d > tolerance for d in differences]
+    share = sum(one.view(np.uint8) for one in differs)
+    for end in (None, 0, -1):
+        long = share > MIN_STANDING * len(stack)
+        cells = np.flatnonzero(long if end is None else differs[end] & (share > 1))
+        if not len(cells):
+            continue
+        values = np.stack([frame.reshape(-1, 3)[cells] for frame in stack]).astype(np.float32)
+        used = np.stack([one.reshape(-1)[cells] for one in differs])
+        if end is not None:
+            used &= np.abs(values - values[end]).max(axis=2) < STANDING_SCATTER
+        values[~used] = np.nan
+        middle = np.nanmedian(values, axis=0)
+        scatter = np.nanmedian(np.abs(values - middle).max(axis=2), axis=0)
+        alike = (scatter < STANDING_SCATTER) & (used.sum(axis=0) > 1)
+        ground = _fill(ground, cells[alike], middle[alike], resolution)
+    return ground
+
+
+def _fill(
+    ground: UInt8[Array, "H W 3"],
+    cells: Int[Array, " n"],
+    values: Float32[Array, "n 3"],
+    resolution: float,
+) -> UInt8[Array, "H W 3"]:
+    """Give cells other values, where groups of them have boundaries with less contrast then."""
     other, mask = ground.copy(), np.zeros(ground.shape[:2], np.uint8)
-    other.reshape(-1, 3)[cells[alike]] = np.rint(middle[alike])
-    mask.reshape(-1)[cells[alike]] = 1
+    other.reshape(-1, 3)[cells] = np.rint(values)
+    mask.reshape(-1)[cells] = 1
     mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3))), np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
     ring = cv2.dilate(mask, np.ones((3, 3))) - cv2.erode(mask, np.ones((3, 3)))
@@ -160,9 +192,10 @@ def _uncover_ground(
 
 
 def _measure_edges(image: UInt8[Array, "H W 3"]) -> Float32[Array, "H W"]:
-    """Measure the strength of edges."""
+    """Measure the strength of edges; of strong ones it counts that they are there."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    edges = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    return np.minimum(edges, MAX_EDGE)
 
 
 def _compute_ratio(

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy import ndimage
 
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import TracksError, warn
@@ -14,7 +15,6 @@ from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.tracking.find_vehicles import search_frames
 from geoaim.tracking.frame_poses import locate_frames
-from geoaim.tracking.ground_grid import MIN_RESOLUTION
 from geoaim.tracks.agent_types import TYPICAL_SIZES
 from geoaim.tracks.tracks import Tracks
 
@@ -23,7 +23,7 @@ STARTS = (0.08, 0.02, 0.3)  # metres per pixel with which the search begins
 MAX_STEPS, TOLERANCE = 6, 0.03  # of the scale from one search to the next, as a share
 MIN_BOXES = 20  # in all of these frames
 SLIMNESS = (1.7, 3.2)  # length over width of cars
-RIM = 2.0  # cells by which boxes that are found are longer and wider than their vehicles
+WINDOW = 0.12  # standard deviation of the logarithms of sizes of cars
 SIGMA = 0.2  # standard deviation of a proposed scale, as a share
 MIN_FACTOR = 2.0  # by which vehicles are smaller or larger than cars where the scale is doubted
 CAR_M = float(np.sqrt(np.prod(TYPICAL_SIZES["car"])))  # square root of its area
@@ -68,13 +68,13 @@ def propose_scale(
             scaled = replace(aim, world_from_image=larger @ aim.world_from_image)
             placed = replace(poses, world_from_frame=larger @ poses.world_from_frame)
             try:
-                sides = _measure(search_frames(small, scaled, placed), resolution)
+                sides = _measure(search_frames(small, scaled, placed))
             except TracksError:  # no scale at which vehicles are found
                 break
             count, last = len(sides), resolution
             if count < MIN_BOXES:
                 break
-            resolution = CAR_M / _find_middle(sides)
+            resolution = CAR_M / _find_most(sides)
             if abs(resolution / last - 1) < TOLERANCE:
                 break
         if count >= MIN_BOXES:
@@ -96,21 +96,22 @@ def _reduce(video: Video) -> tuple[Video, float]:
     return open_video(frames, rate=video.rate), size[0] / video.width
 
 
-def _measure(found: list[DetectedBoxes | None], resolution: float) -> Float[Array, " n"]:
+def _measure(found: list[DetectedBoxes | None]) -> Float[Array, " n"]:
     """Square roots of the areas of boxes that are as slim as cars, pixels."""
     corners = [boxes.get_corners() for boxes in found if boxes is not None]
     edges = np.diff(np.concatenate([*corners, np.empty((0, 4, 2))])[:, :3], axis=1)
-    rim = RIM * max(resolution, MIN_RESOLUTION) / resolution
-    width, length = np.sort(np.linalg.norm(edges, axis=2) - rim, axis=1).T
+    width, length = np.sort(np.linalg.norm(edges, axis=2), axis=1).T
     slim = (width > 0) & (length > SLIMNESS[0] * width) & (length < SLIMNESS[1] * width)
     return np.asarray(np.sqrt(length[slim] * width[slim]))
 
 
-def _find_middle(sides: Float[Array, " n"]) -> float:
-    """The median by area: many small pieces count little."""
-    ordered = np.sort(sides)
-    areas = np.cumsum(ordered**2)
-    return float(ordered[np.searchsorted(areas, areas[-1] / 2)])
+def _find_most(sides: Float[Array, " n"]) -> float:
+    """The side about which most lie, as shares of it; a small piece counts less than a vehicle."""
+    logs = np.log(sides)
+    steps = np.arange(logs.min() - WINDOW, logs.max() + WINDOW, WINDOW / 20)
+    counts, _ = np.histogram(logs, steps, weights=sides)
+    smooth = ndimage.gaussian_filter1d(counts, 20)
+    return float(np.exp(steps[smooth.argmax()] + WINDOW / 40))
 
 
 def check_scale(tracks: Tracks, aim: AIM) -> float | None:
@@ -129,7 +130,7 @@ def check_scale(tracks: Tracks, aim: AIM) -> float | None:
         return None
     if len(tracks.ids) < MIN_AGENTS:
         return None
-    factor = CAR_M / _find_middle(np.sqrt(tracks.sizes.prod(axis=1)))
+    factor = CAR_M / _find_most(np.sqrt(tracks.sizes.prod(axis=1)))
     if 1 / MIN_FACTOR < factor < MIN_FACTOR:
         return None
     length, width = np.array(TYPICAL_SIZES["car"]) / factor

@@ -73,7 +73,7 @@ def find_shapes(
         for part in _join(_split(body, resolution), group, resolution):
             if part.sum() * resolution**2 < min_area:
                 continue
-            corners = _fit_box(part)
+            corners = _fit_box(_trim_rim(part, strength[window]))
             level = float(np.mean(strength[window][part])) / UNIT
             boxes.append(corners + np.array([left, top]))
             scores.append(min(1.0, level / 2.5))
@@ -166,6 +166,13 @@ def _split_touching(part: Bool[Array, "h w"], resolution: float) -> list[Bool[Ar
             near = reach <= erosion / resolution + 1.5
             return [one for n in kept for one in _split((labels == n) & near, resolution)]
     return [part]
+
+
+def _trim_rim(part: Bool[Array, "h w"], strength: UInt8[Array, "h w"]) -> Bool[Array, "h w"]:
+    """Leave out cells of the rim that differ by less than half of what is beside them: blur."""
+    inner = cv2.erode(part.view(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
+    most = cv2.dilate(strength * part, np.ones((5, 5), np.uint8))
+    return np.asarray(part & ((inner > 0) | (strength >= most / 2)))
 
 
 def _fit_box(part: Bool[Array, "h w"]) -> Float[Array, "4 2"]:

@@ -78,6 +78,15 @@ def test_neighbours_are_told_apart():
     np.testing.assert_allclose(np.sort(shapes.corners.mean(axis=1)[:, 0]), [27.5, 47.5], atol=1.5)
 
 
+def test_the_blur_of_a_rim_makes_no_vehicle_longer():
+    difference = np.zeros((60, 80))
+    difference[20:36, 20:58] = 3.5  # tolerances
+    strength = (UNIT * cv2.GaussianBlur(difference, (0, 0), 1.0)).clip(0, 255).astype(np.uint8)
+    [corners] = find_shapes(strength, 0 * strength, 0.12, np.zeros(2)).corners
+    sides = np.linalg.norm(np.diff(corners[:3], axis=0), axis=1)
+    np.testing.assert_allclose(sides, [38, 16], atol=1.0)
+
+
 def test_a_dark_car_whose_roof_looks_like_shadow_is_one():
     strength = np.zeros((60, 80), np.uint8)
     strength[20:36, 20:58] = 2 * UNIT
@@ -116,8 +125,8 @@ def test_small_pieces_that_stay_and_what_is_seldom_seen_are_no_vehicles():
         finish_tracks(make_tracks([0], [piece], [1.0]))
 
 
-def draw_traffic(count, standing_until):
-    """Bright cars with shadows to the right on textured ground; one stands, then leaves."""
+def draw_traffic(count, standing, color=(230, 60, 60)):
+    """Bright cars with shadows to the right on textured ground; one of a color stands for some."""
     generator = np.random.default_rng(3)
     ground = cv2.GaussianBlur(generator.uniform(80, 160, (160, 240)), (0, 0), 3)
     ground = np.repeat((ground + 20).clip(0, 255).astype(np.uint8)[..., None], 3, axis=2)
@@ -125,19 +134,21 @@ def draw_traffic(count, standing_until):
     for step in range(count):
         frame = ground.copy()
         places = [(10 + 5 * step + 30 * k, 30 + 40 * k) for k in range(3)]
-        if step < standing_until:
+        colors = [(230, 60, 60)] * 3
+        if step in standing:
             places.append((120, 140))
-        for x, y in places:
+            colors.append(color)
+        for (x, y), paint in zip(places, colors, strict=True):
             x = x % 200
             shade = frame[y : y + 16, x + 36 : x + 46]
             frame[y : y + 16, x + 36 : x + 46] = (0.5 * shade).astype(np.uint8)
-            frame[y : y + 16, x : x + 36] = (230, 60, 60)
+            frame[y : y + 16, x : x + 36] = paint
         frames.append((frame, np.ones(ground.shape[:2], bool)))
     return ground, frames
 
 
 def test_shadows_fall_to_one_side_and_belong_to_no_box():
-    ground, frames = draw_traffic(30, 0)
+    ground, frames = draw_traffic(30, ())
     learnt = learn_ground(ground, np.ones(ground.shape[:2], bool), frames, 0.12)
     assert abs(learnt.shadow - 0.5) < 0.1
     np.testing.assert_allclose(learnt.sun, [10.0, 0.0], atol=2.0)
@@ -148,14 +159,25 @@ def test_shadows_fall_to_one_side_and_belong_to_no_box():
     assert np.abs(lengths - 36).max() < 4
 
 
-def test_what_stood_in_the_map_and_left_is_found_while_it_stood():
-    ground, frames = draw_traffic(30, 18)
+@pytest.mark.parametrize("standing", [range(18), range(3, 30), range(27)])
+def test_what_stood_in_the_map_and_came_or_left_is_found_while_it_stood(standing):
+    ground, frames = draw_traffic(30, standing)
     image = ground.copy()
     image[140:156, 120:156] = (230, 60, 60)  # the map shows the car that stood for most frames
     learnt = learn_ground(image, np.ones(ground.shape[:2], bool), frames, 0.12)
-    for step, there in ((2, True), (25, False)):
+    for step in (0, 2, 15, 25, 29):
         strength, _ = find_foreground(learnt, *frames[step])
-        assert ((strength[142:154, 124:152] > UNIT).mean() > 0.9) == there
+        assert ((strength[142:154, 124:152] > UNIT).mean() > 0.9) == (step in standing)
+
+
+def test_what_stands_for_most_frames_is_no_noise_of_the_ground():
+    standing = range(18)
+    ground, frames = draw_traffic(30, standing, (95, 95, 95))  # little darker than the ground
+    learnt = learn_ground(ground, np.ones(ground.shape[:2], bool), frames, 0.12)
+    inside = slice(142, 154), slice(124, 152)
+    differs = np.abs(ground[inside].astype(int) - 95).max(axis=2) > 20
+    strength, _ = find_foreground(learnt, *frames[2])
+    assert (strength[inside][differs] > UNIT).mean() > 0.9
 
 
 def test_options_of_detections_need_detections(tmp_path):

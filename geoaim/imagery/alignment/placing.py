@@ -26,6 +26,8 @@ from geoaim.mapping.report import report_georeference, report_position
 
 BY_TELEMETRY = Prior(35.0, float(np.radians(45.0)), 0.25)  # how far off telemetry may be
 NEAR = Prior(35.0, float(np.pi), 0.25)  # and a position that is given by hand, in any direction
+# how far off a map is after a first match, which misses windows that a tilt moves
+NEARLY = Prior(4.0, float(np.radians(2.0)), 0.02)
 CELLS = 9  # of the longer side of the map; one window of each becomes a control point
 
 
@@ -67,11 +69,14 @@ def place_by_imagery(
         reference = change_aim_world(imagery, rough.world)
     else:
         reference = read_imagery(imagery, world=rough.world, corners=region)
-    windows = match_image(rough, reference, prior=prior, progress=progress)
-    points = _make_points(windows, rough, reference, accuracy)
     height, width = rough.coverage.shape
+    for within in (prior, NEARLY):
+        windows = match_image(rough, reference, prior=within, progress=progress)
+        points = _make_points(windows, rough, reference, accuracy)
+        place = estimate_georeference(points, height=height, width=width, world=rough.world)
+        if within is prior:
+            rough = replace(rough, world_from_image=place.world_from_image)
     warn_of_small_part(points, (height, width))
-    place = estimate_georeference(points, height=height, width=width, world=rough.world)
     kept = {name: value for name, value in rough.report.items() if name not in (*CLAIMS, "place")}
     report = {
         **kept,

@@ -59,6 +59,19 @@ def test_a_map_by_telemetry_is_placed(aim, ortho):
 
 
 @pytest.mark.slow
+def test_a_tilted_map_is_placed_to_its_corners(aim, ortho):
+    height, width = aim.coverage.shape
+    lean = np.eye(3)
+    lean[2, :2] = 0.06 / width, -0.04 / height
+    seen = np.asarray(cv2.warpPerspective(aim.image, lean, (width, height)), np.uint8)
+    true = aim.world_from_image @ np.linalg.inv(lean)
+    tilted = replace(aim, image=seen, world_from_image=true / true[2, 2])
+    rough = replace(tilted, world_from_image=translation(9.0, -7.0) @ aim.world_from_image)
+    placed = place_by_imagery(rough, ortho, progress=no_progress)
+    assert measure_corners(placed, tilted).max() < 0.3
+
+
+@pytest.mark.slow
 def test_a_local_map_is_placed_near_a_position_in_any_direction(aim, ortho):
     turned = make_similarity(np.zeros(2), np.radians(137.0), 0.9)
     rough = replace(aim, world=World(None), world_from_image=turned @ aim.world_from_image)
