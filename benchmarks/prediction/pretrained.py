@@ -44,9 +44,7 @@ def run(workspace: Workspace) -> list[Path]:
         kind, name = config.kind, f"{config.kind}_aim"
         places = make_places(workspace.places, TEST[kind], progress=workspace.progress)
         model = make_realistic(train_model(name, workspace), workspace)
-        model.config = replace(
-            model.config, latent_scale=LATENT_SCALES[kind], brakes=kind == "vehicle"
-        )
+        model.config = replace(model.config, latent_scale=LATENT_SCALES[kind])
         if kind == "vehicle":
             folder = workspace.models / "vehicle_closed_loop"
             model = make_closed_loop(model, folder, workspace.progress)

@@ -49,7 +49,7 @@ VAL: Places = (
     *((811, "junction"), (812, "t"), (813, "street"), (814, "roundabout"), (871, "junction")),
     *((872, "t"), (873, "street"), (874, "roundabout"), (875, "junction"), (876, "street")),
 )
-TEST: Places = ((881, "junction"), (882, "t"), (883, "street"), (884, "roundabout"))
+TEST: Places = ((891, "junction"), (892, "t"), (893, "street"), (894, "roundabout"))
 HISTORY, PREDICTED, FUTURES = MAX_HISTORY_STEPS, 60, 6  # steps of 0.1 s; futures of each case
 MAX_CASES = 24  # followers of each place
 MIN_SPEED_MPS, MIN_WAY = 5.0, 0.7  # of followers; their recorded way, as a share of speed x time
@@ -85,7 +85,7 @@ class Crossing:
 
 
 STOP_MPS2, CUT_IN_S = 3.0, 1.5
-UNRULED = "model without its rules of braking"
+ALONE = "networks alone"
 FREE, LIGHT = "no leader", "light turns red"  # as the future begins; a stop needs `STOP_MPS2`
 LIGHT_WIDTH_M = 3.5
 SITUATIONS: Mapping[str, Situation | Crossing | None] = {
@@ -105,9 +105,9 @@ def run(workspace: Workspace) -> list[Path]:
     Returns:
         The files.
     """
-    unruled = read_pretrained("vehicle")
-    unruled.config = replace(unruled.config, brakes=False)
-    models = {"model": read_pretrained("vehicle"), UNRULED: unruled}
+    alone = read_pretrained("vehicle")
+    alone.config = replace(alone.config, brakes=False)
+    models = {ALONE: alone, "with rules": read_pretrained("vehicle")}
     parts = measure_places(models, {"sample": SAMPLE, "test": TEST}, workspace)
     return write_rows("reaction", parts, workspace)
 
@@ -175,7 +175,7 @@ def put_in(followers: Segments, situation: Situation | Crossing | None) -> Segme
     """Put a leader or somebody who crosses before each follower, or with None a light."""
     states, dt = followers.states[:, 0].numpy(), followers.dt
     placed = []
-    for path, (length, _) in zip(states, followers.sizes[:, 0].numpy(), strict=True):
+    for path, (length, _) in zip(states, followers.sizes[:, 0].tolist(), strict=True):
         speed = float(path[HISTORY - 1, 3])
         gap = speed**2 / (2 * STOP_MPS2)
         if isinstance(situation, Situation):

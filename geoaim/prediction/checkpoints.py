@@ -25,6 +25,7 @@ from geoaim.prediction.plain import PlainNetwork
 
 FORMAT = FileFormat("model", 2, 3, first_checked=3, error=ModelError)
 MAX_NUMBERS = {"dt": 10, "resolution": 100, "view_size": 1024, "view_stride": 1000}
+DROPPED = ("neighbours",)  # of the configs of earlier versions; what had it has unknown weights
 PRETRAINED = Path(__file__).parent / "models"
 
 
@@ -78,12 +79,11 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
 
 def _make_config(stated: dict[str, Any]) -> Config:
     """The config of a file, whose numbers would otherwise fail in a simulation, far from it."""
-    config = Config(**stated)
     for name, limit in MAX_NUMBERS.items():
         value = stated.get(name, limit)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= limit:
             raise ValueError(f"its {name} is {value!r}; a number up to {limit:g} is needed")
-    return config
+    return Config(**{name: value for name, value in stated.items() if name not in DROPPED})
 
 
 def _load(module: torch.nn.Module, stored: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -39,10 +39,9 @@ class Config:
         latent_size: width of the latent z.
         latent_steps: steps for which a latent is kept in samples; 1 as in the paper. Longer ones
             make futures that differ by a decision rather than by a jitter.
-        neighbours: nearest other agents that the model also gets as numbers at each step, beside
-            the view, which draws them a few pixels wide; 0 as in the paper.
-        brakes: whether vehicles brake for others on their arcs (`braking`), which lowers the
-            acceleration that the networks decode.
+        reacts: whether a network changes vehicles' accelerations by the speeds from which they
+            could stop for others and before red lights (`geoaim.prediction.safe_speeds`).
+        brakes: whether rules take care that accelerations are not above what those speeds allow.
         latent_scale: standard deviation of latents when futures are sampled; 1 as in training. With
             less, samples lie closer together.
         sigma: standard deviation of states in the likelihood, metres.
@@ -68,7 +67,7 @@ class Config:
     latent_size: int = 8
     latent_scale: float = 1.0
     latent_steps: int = 1
-    neighbours: int = 0
+    reacts: bool = False
     brakes: bool = False
     sigma: float = 0.2
     heading_scale: float = 2.0

@@ -37,10 +37,9 @@ from geoaim.prediction.anchors import (
     select_anchor,
 )
 from geoaim.prediction.bound import Losses, compute_nll, draw_posterior
-from geoaim.prediction.braking import compute_curvature, limit_acceleration, limit_for_red_lights
 from geoaim.prediction.config import Config
 from geoaim.prediction.neighbours import split_views
-from geoaim.prediction.networks import NeighbourEncoder, build_cnn, build_mlp
+from geoaim.prediction.networks import Reaction, build_cnn, build_mlp
 from geoaim.prediction.observation import (
     CHANNELS,
     Controlled,
@@ -60,6 +59,13 @@ from geoaim.prediction.rollouts import (
     normalise_actions,
     normalise_attributes,
     repeat_rollout,
+)
+from geoaim.prediction.safe_speeds import (
+    MAX_BRAKING_MPS2,
+    MIN_SPEED_MPS,
+    compute_curvature,
+    compute_safe_speed_before_red,
+    compute_safe_speeds,
 )
 from geoaim.prediction.segments import Segments
 from geoaim.rendering.ground import Ground
@@ -100,11 +106,11 @@ class ITRA(nn.Module):
         self.posterior = build_mlp(context + 2, config.hidden_size, 2 * config.latent_size)
         if config.num_anchors:
             self.anchors = AnchorHead(config)
-        if config.brakes and config.motion != "bicycle":
-            raise ValueError(f"brakes=True is for vehicles; the motion is {config.motion!r}")
-        if config.neighbours:
-            width = config.hidden_size // 2
-            self.neighbours = NeighbourEncoder(config.neighbours, width, config.feature_size)
+        if (config.brakes or config.reacts) and config.motion != "bicycle":
+            name = "brakes" if config.brakes else "reacts"
+            raise ValueError(f"{name}=True is for vehicles; the motion is {config.motion!r}")
+        if config.reacts:
+            self.reaction = Reaction(config.hidden_size // 2)
 
     def forward(
         self,
@@ -315,8 +321,8 @@ class ITRA(nn.Module):
         wanted = action = self._decode(rollout, context, latent)
         if rollout.plan is not None:
             wanted = action = self._follow(rollout, rollout.plan, action)
-        if self.config.brakes:
-            action, rollout = self._brake(rollout, wanted)
+        if rollout.safe_speeds is not None:
+            action = self._brake(rollout, wanted, rollout.safe_speeds)
         if rollout.plan is not None:
             plan = rollout.plan.advance(rollout.pose, action[:, 0] < wanted[:, 0])
             rollout = replace(rollout, plan=plan)
@@ -346,6 +352,8 @@ class ITRA(nn.Module):
         sizes = batch.sizes
         features = sizes.new_zeros(len(sizes), self.config.feature_size)
         hidden = sizes.new_zeros(len(sizes), self.config.hidden_size)
+        watches = self.config.brakes or self.config.reacts
+        curvature = torch.zeros_like(sizes[:, 0]) if watches else None
         for step in range(batch.history - 1):
             states = batch.segments.states[:, :, step]  # (B, N, 4)
             features = self._update_features(batch, states, step, features)  # (E, F)
@@ -354,8 +362,13 @@ class ITRA(nn.Module):
             updated = self.update_hidden(inputs, hidden)  # (E, H)
             # the hidden state of an agent that enters later stays zero until then
             hidden = torch.where(batch.find_moving(step), updated, hidden)
+            if curvature is not None:
+                drives = batch.find_moving(step)[:, 0] & (batch.truth[:, step, 3] > MIN_SPEED_MPS)
+                bent = self._bend(curvature, actions[:, step], sizes)
+                curvature = torch.where(drives, bent, curvature)
         last = batch.history - 1
-        return Rollout(batch, last, batch.segments.states[:, :, last], features, hidden)
+        states = batch.segments.states[:, :, last]
+        return Rollout(batch, last, states, features, hidden, curvature=curvature)
 
     def _roll_out(
         self, rollout: Rollout, draw: Callable[[Rollout], Float[Tensor, "E Z"]]
@@ -373,13 +386,11 @@ class ITRA(nn.Module):
         index, before = rollout.index, rollout.features
         features = self._update_features(rollout.batch, rollout.states, index, before)  # (E, F)
         attributes = normalise_attributes(rollout.pose, rollout.batch.sizes)  # (E, 3)
-        seen = features if not self.config.neighbours else features + self._see(rollout)
-        context = torch.cat([seen, rollout.hidden, attributes], dim=1)  # (E, F + H + 3)
-        return replace(rollout, features=features), context
-
-    def _see(self, rollout: Rollout) -> Float[Tensor, "E F"]:
-        """Encode the nearest agents as numbers."""
-        return self.neighbours(rollout.pose, rollout.batch.sizes, *gather_others(rollout))
+        context = torch.cat([features, rollout.hidden, attributes], dim=1)  # (E, F + H + 3)
+        safe = None
+        if rollout.curvature is not None:
+            safe = self._find_safe_speeds(rollout, rollout.curvature)
+        return replace(rollout, features=features, safe_speeds=safe), context
 
     def _decode(
         self, rollout: Rollout, context: Float[Tensor, "E C"], latent: Float[Tensor, "E Z"]
@@ -390,6 +401,9 @@ class ITRA(nn.Module):
             remaining = (total - 1 - rollout.index) / total
             inputs.append(encode_anchor(rollout.pose, rollout.anchor, remaining))
         action = self.decode_action(torch.cat(inputs, dim=1))  # (E, 2)
+        if self.config.reacts and rollout.safe_speeds is not None:
+            lower = self.reaction(action[:, 0], rollout.pose[:, 3], rollout.safe_speeds)
+            action = torch.stack([lower, action[:, 1]], dim=1)
         return MAX_ACTION * torch.tanh(action / MAX_ACTION)
 
     def _remember(
@@ -398,7 +412,11 @@ class ITRA(nn.Module):
         """Update the hidden states by actions."""
         seen = torch.cat([rollout.features, action, context[:, -ATTRIBUTES:]], dim=1)
         updated = self.update_hidden(seen, rollout.hidden)
-        return replace(rollout, hidden=torch.where(rollout.moving, updated, rollout.hidden))
+        curvature = rollout.curvature
+        if curvature is not None:
+            curvature = self._bend(curvature, action, rollout.batch.sizes)
+        hidden = torch.where(rollout.moving, updated, rollout.hidden)
+        return replace(rollout, hidden=hidden, curvature=curvature)
 
     def _plan(self, rollout: Rollout, segments: Segments, goals: Mapping[str, Goal]) -> Rollout:
         """Give agents the paths to their goals, and others the proposals of a place's network.
@@ -449,36 +467,50 @@ class ITRA(nn.Module):
             action = torch.stack([steered, action[:, 1]], dim=1)
         return torch.where(plan.goes_on[:, None], given, action)
 
-    def _brake(
-        self, rollout: Rollout, action: Float[Tensor, "E 2"]
-    ) -> tuple[Float[Tensor, "E 2"], Rollout]:
-        """Lower accelerations with which agents could not stop for others or for a red light.
+    def _bend(
+        self,
+        curvature: Float[Tensor, "E"],
+        action: Float[Tensor, "E 2"],
+        sizes: Float[Tensor, "E 2"],
+    ) -> Float[Tensor, "E"]:
+        """Follow the curvature of arcs by new actions, which jitter."""
+        bent = compute_curvature(self.scale_action(action)[:, 1], sizes[:, 0])
+        return torch.lerp(curvature, bent, CURVATURE_SHARE)
 
-        Who stands stays there until it starts: weaker accelerations only make it creep.
-        """
+    def _find_safe_speeds(
+        self, rollout: Rollout, curvature: Float[Tensor, "E"]
+    ) -> Float[Tensor, "E 3"]:
+        """Speeds from which agents can stop for others, and before red lights."""
         batch, pose = rollout.batch, rollout.pose
-        wanted = self.scale_action(action)
-        curvature = compute_curvature(wanted[:, 1], batch.sizes[:, 0])
-        if rollout.curvature is not None:  # actions jitter
-            curvature = torch.lerp(rollout.curvature, curvature, CURVATURE_SHARE)
         if (plan := rollout.plan) is not None:
             arc = plan.aim(pose, BRAKING_AHEAD_S, batch.segments.dt)
             curvature = torch.where(plan.goes_on, arc, curvature)
-        others = gather_others(rollout)
+        row, (others, sizes, there) = batch.controlled.segment, gather_others(rollout)
         turns = torch.zeros_like(rollout.states[..., 0])
-        turns = turns.index_put(batch.controlled.index, curvature)[batch.controlled.segment]
-        row, dt = batch.controlled.segment, batch.segments.dt
-        most = limit_acceleration(pose, batch.sizes, curvature, *others[:2], turns, others[2], dt)
+        turns = turns.index_put(batch.controlled.index, curvature)[row]
+        given = pose, batch.sizes, curvature
+        safe = compute_safe_speeds(*given, others, sizes, turns, there)
         red = batch.segments.light_states[row, rollout.index] == RED
-        stops = limit_for_red_lights(
-            pose, batch.sizes, curvature, batch.segments.stop_lines[row], red, dt
-        )
-        lower = torch.minimum(wanted[:, 0], torch.minimum(most, stops))
-        stays = (pose[:, 3].abs() < STANDING_MPS) & (lower < STARTING_MPS2)
-        held = torch.where(stays, -pose[:, 3] / dt - lower, 0).detach()  # gradients still pass
-        lower = (lower + held) / self.motion.scale[0]
-        limited = torch.stack([lower, action[:, 1]], dim=1)
-        return limited, replace(rollout, curvature=curvature)
+        stops = compute_safe_speed_before_red(*given, batch.segments.stop_lines[row], red)
+        return torch.cat([safe, stops[:, None]], dim=1)
+
+    def _brake(
+        self, rollout: Rollout, action: Float[Tensor, "E 2"], safe_speeds: Float[Tensor, "E 3"]
+    ) -> Float[Tensor, "E 2"]:
+        """Lower accelerations with which agents could not stop, if `Config.brakes`.
+
+        Nobody brakes into reverse. Who stands stays there until it starts: weaker accelerations
+        only make it creep.
+        """
+        speed, dt = rollout.pose[:, 3], rollout.batch.segments.dt
+        lower = self.scale_action(action)[:, 0]
+        if self.config.brakes:
+            most = (safe_speeds.amin(dim=1) - speed.clamp_min(0)) / dt
+            lower = torch.minimum(lower, most.clamp_min(-MAX_BRAKING_MPS2))
+        lower = torch.where(speed > 0, torch.maximum(lower, -speed / dt), lower)
+        stays = (speed.abs() < STANDING_MPS) & (lower < STARTING_MPS2)
+        held = torch.where(stays, -speed / dt - lower, 0).detach()  # gradients still pass
+        return torch.stack([(lower + held) / self.motion.scale[0], action[:, 1]], dim=1)
 
     def _move(self, rollout: Rollout, action: Float[Tensor, "E 2"]) -> Rollout:
         """Move the controlled agents that are there; those that enter do so as recorded."""

@@ -76,6 +76,8 @@ class Rollout:
         samples: rows of each segment, next to each other.
         latent: (E, Z) latents of the last step.
         curvature: (E,) of the arcs on which agents drive, 1/m, of a model that brakes for others.
+        safe_speeds: (E, 3) speeds from which they could stop for those ahead, for those who cross
+            and before red lights, as the last step began, m/s.
         plan: paths that agents follow, of a model that was trained on a place or that is steered.
         speeds: (E,) target speeds of agents that are steered, m/s; NaN: it has none.
     """
@@ -89,6 +91,7 @@ class Rollout:
     samples: int = 1
     latent: Float[Tensor, "E Z"] | None = None
     curvature: Float[Tensor, "E"] | None = None
+    safe_speeds: Float[Tensor, "E 3"] | None = None
     plan: Plan | None = None
     speeds: Float[Tensor, "E"] | None = None
 
@@ -135,6 +138,7 @@ def repeat_rollout(rollout: Rollout, samples: int) -> Rollout:
         features=rollout.features[row],
         hidden=rollout.hidden[row],
         samples=samples,
+        curvature=None if rollout.curvature is None else rollout.curvature[row],
     )
 
 

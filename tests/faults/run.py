@@ -175,6 +175,7 @@ def main() -> None:
     """Count the outcomes of all readers, or repeat one mutation."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=100, help="mutations of each reader")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first mutation")
     parser.add_argument("--reader", action="append", help="a name; all readers if omitted")
     parser.add_argument("--seed", type=int, help="repeat one mutation, with its traceback")
     parser.add_argument("-o", "--output", type=Path, help="JSON to write")
@@ -190,25 +191,25 @@ def main() -> None:
             return
         path = arguments.output or Path(temporary, "faults.json")
         for name in arguments.reader or READERS:
-            _count_reader(path, name, arguments.count, folder, anew=bool(arguments.reader))
+            seeds = range(arguments.first, arguments.first + arguments.count)
+            _count_reader(path, name, seeds, folder, anew=bool(arguments.reader))
         sys.exit(bool(json.loads(path.read_text())["faults"]))
 
 
-def _count_reader(path: Path, name: str, count: int, folder: Path, *, anew: bool) -> None:
+def _count_reader(path: Path, name: str, seeds: range, folder: Path, *, anew: bool) -> None:
     """Count a reader's outcomes, from where the output stops, and write them now and then."""
     results = json.loads(path.read_text()) if path.exists() else {"rows": [], "faults": []}
     rows = {row["reader"]: row for row in results["rows"]}
     row = {"reader": name, **dict.fromkeys(OUTCOMES, 0)} if anew else rows.get(name)
     row = row or {"reader": name, **dict.fromkeys(OUTCOMES, 0)}
     kept = [fault for fault in results["faults"] if fault["reader"] != name or not anew]
-    for start in range(sum(row[key] for key in OUTCOMES), count, CHILD_SHARE):
-        seeds = range(start, min(start + CHILD_SHARE, count))
-        counts, faults = count_outcomes(name, seeds, folder)
+    for start in range(sum(row[key] for key in OUTCOMES), len(seeds), CHILD_SHARE):
+        counts, faults = count_outcomes(name, seeds[start : start + CHILD_SHARE], folder)
         row = {"reader": name, **{key: row[key] + counts[key] for key in OUTCOMES}}
         rows[name] = row
         kept += [{"reader": name, **vars(fault)} for fault in faults]
         written = {
-            "command": f"python -m tests.faults.run --count {count} -o docs/bench/faults.json",
+            "command": f"python -m tests.faults.run --count {len(seeds)} -o docs/bench/faults.json",
             "rows": [rows[known] for known in READERS if known in rows],
             "faults": kept,
         }

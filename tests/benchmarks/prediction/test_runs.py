@@ -38,6 +38,7 @@ from geoaim.prediction.windows import WINDOW_STEPS, make_path_segments
 from geoaim.rendering.scene import slice_scene
 from tests.prediction.tiny import hill
 
+SMALL_LOOP = {"CHUNK_STEPS": 3, "SEGMENT_STEPS": 20, "SEGMENTS": 2}
 SMALL = {"view_size": 16, "view_stride": 50, "hidden_size": 16, "feature_size": 12}
 
 
@@ -101,7 +102,7 @@ def test_pretrained_models_are_written_to_the_workspace(workspace, monkeypatch, 
     scene = make_place_scene(read_recordings(place)[0], read_map(place, "aim"), dt=0.1)
     monkeypatch.setattr(closed_loop, "make_drawn_scene", lambda kind, seed: (scene, None))
     monkeypatch.setattr(closed_loop, "CLOSED_LOOP", ((5, "t"),))
-    for name, value in {"STEPS": 3, "CHUNK_STEPS": 3, "SEGMENT_STEPS": 20, "SEGMENTS": 2}.items():
+    for name, value in {"STEPS": 3, "REACTION_STEPS": 2, **SMALL_LOOP}.items():
         monkeypatch.setattr(closed_loop, name, value)
     monkeypatch.setattr(pretrained, "REALISTIC_STEPS", {"vehicle": 1, "pedestrian": 1})
     monkeypatch.setattr(pretrained, "REALISTIC_BATCH", 2)
@@ -112,6 +113,7 @@ def test_pretrained_models_are_written_to_the_workspace(workspace, monkeypatch, 
     after = read_model(paths[0]).state_dict()
     changed = {name for name in before if not before[name].equal(after[name])}
     assert any(name.startswith("decode_action") for name in changed)
+    assert read_model(paths[0]).config.reacts
 
 
 @pytest.mark.slow

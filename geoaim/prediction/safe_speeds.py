@@ -1,4 +1,4 @@
-"""Braking for others: how fast an agent may go on its arc so that it can still stop.
+"""Safe speeds: how fast an agent may go on its arc so that it can still stop.
 
 Every agent is continued on the arc of its curvature, without routes or lanes. Behind somebody on
 that arc, an agent keeps the speed from which it can stop if the one ahead brakes (Gipps 1981).
@@ -12,10 +12,11 @@ from torch import Tensor
 
 from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH, agent_from_world, wrap_angle
 
-NEAREST = 10  # others for which an agent brakes
+NEAREST = 10  # others that count
 REACTION_S, BRAKING_MPS2, MAX_BRAKING_MPS2 = 0.3, 4.0, 8.0
 STANDSTILL_GAP_M, SIDE_MARGIN_M = 1.5, 0.2
 STOP_LINE_GAP_M = 0.5
+MAX_SKEW = 0.7  # tangent of the angle by which a stop line may be turned against the way
 MIN_CURVATURE = 1e-4  # 1/m; less is straight
 CROSSING_TIMES_S = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
 CROSSING_MARGIN_S = 0.4  # between one that leaves the place of a crossing and the next one
@@ -24,7 +25,7 @@ MIN_SPEED_MPS = 0.3
 UNKNOWN_COSINE = 0.8  # who stands across more than this may have an unknown heading
 
 
-def limit_acceleration(  # noqa: PLR0913  (agents and others, field by field)
+def compute_safe_speeds(  # noqa: PLR0913  (agents and others, field by field)
     pose: Float[Tensor, "E 4"],
     size: Float[Tensor, "E 2"],
     curvature: Float[Tensor, "E"],
@@ -32,9 +33,8 @@ def limit_acceleration(  # noqa: PLR0913  (agents and others, field by field)
     sizes: Float[Tensor, "E n 2"],
     turns: Float[Tensor, "E n"],
     there: Bool[Tensor, "E n"],
-    dt: float,
-) -> Float[Tensor, "E"]:
-    """Compute the highest acceleration with which agents can still stop for others.
+) -> Float[Tensor, "E 2"]:
+    """Compute the highest speeds from which agents can still stop for others.
 
     Args:
         pose: x, y, heading, speed of E agents.
@@ -44,34 +44,29 @@ def limit_acceleration(  # noqa: PLR0913  (agents and others, field by field)
         sizes: their lengths and widths.
         turns: curvatures of their arcs; 0 where it is not known.
         there: which of them count; not the agent itself.
-        dt: time between steps, s.
 
     Returns:
-        m/s², down to -`MAX_BRAKING_MPS2`; infinite where nobody is in the way.
+        m/s, behind those who are ahead and before those who cross; infinite where nobody is.
     """
     away = (others[..., :2] - pose[:, None, :2]).norm(dim=2).masked_fill(~there, torch.inf)
     away, index = away.topk(min(NEAREST, others.shape[1]), dim=1, largest=False)
     row = torch.arange(len(pose), device=pose.device)[:, None]
     others, sizes, turns = others[row, index], sizes[row, index], turns[row, index]
     there = torch.isfinite(away)
-    speed = pose[:, 3].clamp_min(0)
     gap, pace = _find_leaders(pose, size, curvature, others, sizes, there)
-    safe = _compute_safe_speed(gap, pace)
     crossing = _find_crossings(pose, size, curvature, others, sizes, turns, there)
-    safe = torch.minimum(safe, _compute_safe_speed(crossing, torch.zeros_like(crossing)))
-    slowest = safe.amin(dim=1)
-    return ((slowest - speed) / dt).clamp_min(-MAX_BRAKING_MPS2)
+    behind = _compute_safe_speed(gap, pace).amin(dim=1)
+    return torch.stack([behind, _compute_safe_speed(crossing).amin(dim=1)], dim=1)
 
 
-def limit_for_red_lights(
+def compute_safe_speed_before_red(
     pose: Float[Tensor, "E 4"],
     size: Float[Tensor, "E 2"],
     curvature: Float[Tensor, "E"],
     lines: Float[Tensor, "E L 2 2"],
     red: Bool[Tensor, "E L"],
-    dt: float,
 ) -> Float[Tensor, "E"]:
-    """Compute the highest acceleration with which agents can still stop before red lights.
+    """Compute the highest speed from which agents can still stop before red lights.
 
     Args:
         pose: x, y, heading, speed of E agents.
@@ -79,25 +74,24 @@ def limit_for_red_lights(
         curvature: of their arcs, 1/m; positive to the left.
         lines: both ends of each light's stop line.
         red: which lights are red.
-        dt: time between steps, s.
 
     Returns:
-        m/s², down to -`MAX_BRAKING_MPS2`; infinite where no red light is ahead, and where braking
-        that hard would not stop an agent in time.
+        m/s; infinite where no red light is ahead, and where `MAX_BRAKING_MPS2` would not stop an
+        agent in time.
     """
     ends = lines.flatten(1, 2)  # (E, 2 L, 2)
     along, aside = (part.view(*red.shape, 2) for part in _project(pose, curvature, ends))
     (along, last), (aside, last_aside) = along.unbind(2), aside.unbind(2)
     crosses = aside * last_aside < 0
+    crosses &= (along - last).abs() < MAX_SKEW * (aside - last_aside).abs()
     share = aside / torch.where(crosses, aside - last_aside, 1.0)
     gap = torch.lerp(along, last, share) - size[:, :1] / 2
     speed = pose[:, 3].clamp_min(0)
     ahead = red & crosses & (gap > 0)
     ahead &= speed[:, None].square() < 2 * MAX_BRAKING_MPS2 * gap
     room = torch.where(ahead, gap + STANDSTILL_GAP_M - STOP_LINE_GAP_M, torch.inf)
-    safe = _compute_safe_speed(room, torch.zeros_like(room))
-    nearest = torch.cat([safe, torch.full_like(pose[:, :1], torch.inf)], dim=1).amin(dim=1)
-    return ((nearest - speed) / dt).clamp_min(-MAX_BRAKING_MPS2)
+    safe = _compute_safe_speed(room)
+    return torch.cat([safe, torch.full_like(pose[:, :1], torch.inf)], dim=1).amin(dim=1)
 
 
 def compute_curvature(
@@ -108,11 +102,11 @@ def compute_curvature(
     return torch.sin(slip) / (WHEELBASE_PER_LENGTH / 2 * length)
 
 
-def _compute_safe_speed(gap: Float[Tensor, "E n"], pace: Float[Tensor, "E n"]) -> Tensor:
+def _compute_safe_speed(gap: Float[Tensor, "E n"], pace: Tensor | float = 0.0) -> Tensor:
     """The speed from which one stops behind a leader that brakes as hard (Gipps 1981)."""
     lost = BRAKING_MPS2 * REACTION_S
     room = (gap - STANDSTILL_GAP_M).clamp_min(0)
-    return (lost**2 + 2 * BRAKING_MPS2 * room + pace.square()).sqrt() - lost
+    return (lost**2 + 2 * BRAKING_MPS2 * room + pace**2).sqrt() - lost
 
 
 def _project(

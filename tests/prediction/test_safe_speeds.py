@@ -1,12 +1,12 @@
-"""Braking for others and for red lights, driven step by step."""
+"""Safe speeds behind others and before red lights, driven step by step, and in a model."""
 
 from dataclasses import replace
 
 import pytest
 import torch
 
-from geoaim.prediction.braking import limit_acceleration, limit_for_red_lights
 from geoaim.prediction.itra import ITRA
+from geoaim.prediction.safe_speeds import compute_safe_speed_before_red, compute_safe_speeds
 from geoaim.simulation.kinematics import bicycle
 from tests.prediction.tiny import TINY, drive, hill
 
@@ -15,12 +15,12 @@ SIZE = torch.tensor([[4.5, 1.8]])
 LINE = torch.tensor([[[[40.0, -2.0], [40.0, 2.0]]]])  # across the path of a car that drives east
 
 
-def drive_east(limit, *, speed=12.0, steps=80):
-    """Drive a car that never brakes by itself; gives x of its front at each step, and its speed."""
+def drive_east(find_safe, *, speed=12.0, steps=80):
+    """Drive a car as fast as is safe; gives x of its front at each step, and its speed."""
     pose, fronts = torch.tensor([[0.0, 0.0, 0.0, speed]]), []
     for _ in range(steps):
-        most = limit(pose, torch.zeros(1))
-        action = torch.stack([most.clamp_max(0.0), torch.zeros(1)], dim=1)
+        most = (find_safe(pose, torch.zeros(1)) - pose[:, 3]) / DT
+        action = torch.stack([most.clamp(-8.0, 0.0), torch.zeros(1)], dim=1)
         pose = bicycle.step(pose, action, SIZE[:, 0], DT)
         fronts.append(float(pose[0, 0] + SIZE[0, 0] / 2))
     return fronts, float(pose[0, 3])
@@ -30,10 +30,11 @@ def meet(other, size=(4.5, 1.8)):
     others, sizes = torch.tensor([[other]]), torch.tensor([[size]])
     none, there = torch.zeros(1, 1), torch.ones(1, 1, dtype=torch.bool)
 
-    def limit(pose, curvature):
-        return limit_acceleration(pose, SIZE, curvature, others, sizes, none, there, DT)
+    def find_safe(pose, curvature):
+        safe = compute_safe_speeds(pose, SIZE, curvature, others, sizes, none, there)
+        return safe.amin(dim=1)
 
-    return limit
+    return find_safe
 
 
 @pytest.mark.parametrize(
@@ -53,18 +54,18 @@ def test_a_car_stops_behind_who_stands_on_its_arc(other, stops):
 
 def test_a_car_stops_for_a_pedestrian_who_gets_there_first():
     pedestrian = (25.0, -2.5, torch.pi / 2, 1.4)
-    limit = meet(pedestrian, (0.5, 0.6))
-    assert limit(torch.tensor([[0.0, 0.0, 0.0, 12.0]]), torch.zeros(1)) < 0
+    near = meet(pedestrian, (0.5, 0.6))
+    assert near(torch.tensor([[0.0, 0.0, 0.0, 12.0]]), torch.zeros(1)) < 12
     gone = meet((25.0, 4.0, torch.pi / 2, 1.4), (0.5, 0.6))
     assert torch.isinf(gone(torch.tensor([[0.0, 0.0, 0.0, 12.0]]), torch.zeros(1)))
 
 
 def face(red, line=LINE):
-    def limit(pose, curvature):
+    def find_safe(pose, curvature):
         lights = line, torch.tensor([[red]])
-        return limit_for_red_lights(pose, SIZE, curvature, *lights, DT)
+        return compute_safe_speed_before_red(pose, SIZE, curvature, *lights)
 
-    return limit
+    return find_safe
 
 
 def test_a_car_stops_before_a_red_light_and_for_no_other():
@@ -88,13 +89,21 @@ def test_a_red_light_beside_the_arc_stops_nobody():
     assert torch.isinf(face(True)(pose, torch.tensor([0.1])))  # turns left in front of it
 
 
+def test_a_stop_line_along_the_way_is_of_others():
+    pose = torch.tensor([[0.0, 0.0, 0.0, 12.0]])
+    across = torch.tensor([[[[40.0, -2.0], [42.0, 2.0]]]])  # a little oblique
+    assert torch.isfinite(face(True, across)(pose, torch.zeros(1)))
+    along = torch.tensor([[[[38.0, -1.0], [42.0, 1.0]]]])
+    assert torch.isinf(face(True, along)(pose, torch.zeros(1)))
+
+
 def test_places_without_lights_and_lines_of_no_length_have_finite_gradients():
     pose = torch.tensor([[0.0, 0.0, 0.0, 12.0]], requires_grad=True)
     none = torch.zeros(1, 0, 2, 2), torch.zeros(1, 0, dtype=torch.bool)
-    assert torch.isinf(limit_for_red_lights(pose, SIZE, torch.zeros(1), *none, DT))
+    assert torch.isinf(compute_safe_speed_before_red(pose, SIZE, torch.zeros(1), *none))
     lines = torch.cat([LINE, torch.zeros(1, 1, 2, 2)], dim=1)
     red = torch.ones(1, 2, dtype=torch.bool)
-    limit_for_red_lights(pose, SIZE, torch.zeros(1), lines, red, DT).sum().backward()
+    compute_safe_speed_before_red(pose, SIZE, torch.zeros(1), lines, red).sum().backward()
     assert torch.isfinite(pose.grad).all()
 
 
@@ -114,3 +123,34 @@ def test_who_stands_does_not_creep():
         ways[brakes] = float((futures[:, :, 0, -1, 0] - futures[:, :, 0, 3, 0]).abs().max())
     assert ways[False] > 0.2
     assert ways[True] == 0
+
+
+def test_nobody_brakes_into_reverse():
+    torch.manual_seed(0)
+    itra = ITRA(replace(TINY, brakes=True)).eval()
+    with torch.no_grad():
+        itra.decode_action[-1].bias.copy_(torch.tensor([-9.0, 0.0]))
+    futures = itra.sample(drive(40), hill(), history=4, samples=2, generator=torch.Generator())
+    assert float(futures[:, :, 0, -1, 3].abs().max()) == 0
+    assert float(futures[:, :, 0, :, 3].min()) == 0
+
+
+def test_a_network_brakes_for_a_leader_beyond_the_view():
+    alone = drive(6, curve=0.0)  # the third one is near enough
+    states = alone.states.clone()
+    states[:, 1] = states.new_tensor([27.5, 0.0, 0.0, 0.0])  # 16 m are in view
+    led = replace(alone, states=states)
+    far = states.clone()
+    far[:, 1, :, 1] = 30.0
+    free = replace(alone, states=far)
+
+    def react(reacts):
+        torch.manual_seed(0)
+        itra, speeds = ITRA(replace(TINY, reacts=reacts)).eval(), []
+        for segments in (led, free):
+            some = {"history": 4, "samples": 1, "generator": torch.Generator().manual_seed(0)}
+            speeds.append(itra.sample(segments, hill(), **some)[2, 0, 0, -1, 3])
+        return float(speeds[0] - speeds[1])
+
+    assert react(False) == 0
+    assert react(True) < 0
