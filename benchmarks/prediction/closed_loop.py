@@ -115,7 +115,7 @@ def make_closed_loop(model: ITRA, folder: Path, progress: Progress, seed: int = 
 def _train(model: ITRA, places: Sequence[_Place], progress: Progress, seed: int) -> ITRA:
     """Train all but the network that sees, with the rules of braking."""
     trained = _copy(model, replace(model.config, brakes=True))
-    frozen = trained.encoder.parameters()
+    trained.encoder.requires_grad_(False)
     generator = torch.Generator().manual_seed(seed)
     rollouts = _roll_out(trained, places, generator)
 
@@ -126,8 +126,6 @@ def _train(model: ITRA, places: Sequence[_Place], progress: Progress, seed: int)
         bound = trained(pick(place.segments, index), place.ground, history, generator)
         return loss + BOUND_WEIGHT * (bound.nll.clamp(max=MAX_NLL) + KL_WEIGHT * bound.kl)
 
-    for parameter in frozen:
-        parameter.requires_grad_(False)
     _optimise(trained, compute_loss, LEARNING_RATE, STEPS, partial(progress, "closed loop"))
     return trained
 
@@ -137,8 +135,7 @@ def _train_reaction(model: ITRA, places: Sequence[_Place], progress: Progress, s
     trained = _copy(model, replace(model.config, reacts=True, brakes=False))
     generator = torch.Generator().manual_seed(seed)
     rollouts, met = _roll_out(trained, places, generator), _meet(trained, places, generator)
-    for name, parameter in trained.named_parameters():
-        parameter.requires_grad_(name.startswith("reaction."))
+    trained.requires_grad_(False).reaction.requires_grad_(True)
 
     def compute_loss() -> Float[Tensor, ""]:
         return next(rollouts)[1] + next(met)

@@ -153,8 +153,10 @@ def _uncover_ground(
     differs = [d > tolerance for d in differences]
     share = sum(one.view(np.uint8) for one in differs)
     for end in (None, 0, -1):
-        long = share > MIN_STANDING * len(stack)
-        cells = np.flatnonzero(long if end is None else differs[end] & (share > 1))
+        if end is None:
+            cells = np.flatnonzero(share > MIN_STANDING * len(stack))
+        else:
+            cells = np.flatnonzero(differs[end] & (share > 1))
         if not len(cells):
             continue
         values = np.stack([frame.reshape(-1, 3)[cells] for frame in stack]).astype(np.float32)

@@ -73,9 +73,10 @@ def _read_video(name: str) -> Callable[[Path], object]:
     return read
 
 
-def _detections(file: str, name: str, mutations: tuple[by.Mutation, ...] = TEXT) -> Reader:
+def _detections(file: str, mutations: tuple[by.Mutation, ...] = TEXT) -> Reader:
     def read(folder: Path) -> object:
-        return read_detections(folder / name)(Frame(0, 0.0, None, np.zeros((48, 64), np.uint8)))
+        source = folder / Path(file).parts[0]  # the file, or the folder that holds it
+        return read_detections(source)(Frame(0, 0.0, None, np.zeros((48, 64), np.uint8)))
 
     return Reader(file, mutations, read)
 
@@ -157,14 +158,14 @@ READERS = {
     "SRT": Reader("bracketed.srt", TEXT, lambda f: read_srt(f / "bracketed.srt")),
     "SRT, older": Reader("older.srt", TEXT, lambda f: read_srt(f / "older.srt")),
     "photo": Reader("photo.jpg", BINARY, lambda f: read_exif([f / "photo.jpg"])),
-    "detections": _detections("boxes/0.txt", "boxes"),
-    "detections: CSV": _detections("detections.csv", "detections.csv"),
-    "detections: semicolons": _detections("semicolons.csv", "semicolons.csv"),
-    "detections: MOT": _detections("mot.txt", "mot.txt"),
-    "detections: COCO": _detections("coco.json", "coco.json", JSON),
-    "detections: COCO results": _detections("results.json", "results.json", JSON),
-    "detections: supervision": _detections("records.json", "records.json", JSON),
-    "detections: CVAT": _detections("cvat.xml", "cvat.xml", (*TEXT, by.mutate_xml)),
+    "detections": _detections("boxes/0.txt"),
+    "detections: CSV": _detections("detections.csv"),
+    "detections: semicolons": _detections("semicolons.csv"),
+    "detections: MOT": _detections("mot.txt"),
+    "detections: COCO": _detections("coco.json", JSON),
+    "detections: COCO results": _detections("results.json", JSON),
+    "detections: supervision": _detections("records.json", JSON),
+    "detections: CVAT": _detections("cvat.xml", (*TEXT, by.mutate_xml)),
     "futures": Reader("futures.csv", TEXT, lambda f: describe_futures_file(f / "futures.csv")),
     "catalogue": Reader("catalog.csv", TEXT, lambda f: read_recordings(f / "catalog.csv")),
     "video: MP4": Reader("video.mp4", BINARY, _read_video("video.mp4")),
