@@ -3,9 +3,12 @@
 import os
 import shutil
 import sys
+import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,27 +21,51 @@ if TYPE_CHECKING:
 TEMPORARY = ".geoaim-writing-"  # begins the names of temporary folders; 32 hex digits follow
 
 
+class _Command:
+    """When the command that runs began, and what it has written."""
+
+    def __init__(self, began: float) -> None:
+        self.began = began  # seconds, as of files
+        self.written: set[Path] = set()
+
+
+_COMMAND = ContextVar[_Command | None]("_COMMAND", default=None)
+
+
 @contextmanager
-def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+def keep_files_of_others() -> Iterator[None]:
+    """Within the block, replace no file that another program has written since it began."""
+    token = _COMMAND.set(_Command(time.time()))
+    try:
+        yield
+    finally:
+        _COMMAND.reset(token)
+
+
+@contextmanager
+def atomic_write(path: str | os.PathLike[str], *, shared: bool = False) -> Iterator[Path]:
     """Yield a temporary path whose file replaces `path` when the block ends without an error.
 
     The folder is created when it is missing. When the block fails, an existing file stays as it
-    was. A symbolic link stays; the file to which it points is replaced.
+    was. A symbolic link stays; the file to which it points is replaced. `shared` is as in
+    `atomic_files`.
     """
-    with atomic_files(path) as (temporary,):
+    with atomic_files(path, shared=shared) as (temporary,):
         yield temporary
 
 
 @contextmanager
-def atomic_files(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
+def atomic_files(*paths: str | os.PathLike[str], shared: bool = False) -> Iterator[list[Path]]:
     """Yield a list of temporary paths whose files replace `paths` together, like `atomic_write`.
 
     The block must write all of them. The other files are removed before the first one is replaced,
     so that a kill in between never leaves a new first file beside old ones. Permissions of files
-    that exist are kept.
+    that exist are kept. Files of other programs that `keep_files_of_others` keeps stay, and those
+    of the block get other names, unless they are `shared`, such as tiles in a cache.
 
     Raises:
         ValueError: a path is a pipe, a device or another thing that cannot be replaced by a file.
+        FileExistsError: another program has written a file; says which names were taken instead.
     """
     targets = [Path(path).resolve() if Path(path).is_symlink() else Path(path) for path in paths]
     for path in targets:
@@ -55,10 +82,19 @@ def atomic_files(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
             _flush(file)
             if path.is_file():
                 shutil.copymode(path, file)
-        for path in targets[1:]:
+        foreign = [] if shared else [path for path in targets if _is_foreign(path)]
+        kept = _find_free_names(targets) if foreign else targets
+        for path in kept[1:]:
             path.unlink(missing_ok=True)
-        for file, path in zip(temporary, targets, strict=True):
+        for file, path in zip(temporary, kept, strict=True):
             os.replace(file, path)
+        if command := _COMMAND.get():
+            command.written.update(kept)
+        if foreign:
+            raise FileExistsError(
+                f"{foreign[0]} was written by another program meanwhile and is kept; "
+                f"this result is in {' and '.join(map(str, kept))}"
+            )
 
 
 @contextmanager
@@ -143,6 +179,21 @@ def write_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
         text.set_parse_math(False)
     with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=100, format="png")
+
+
+def _is_foreign(path: Path) -> bool:
+    """Whether another program has written a file since `keep_files_of_others` began."""
+    command = _COMMAND.get()
+    if command is None or path in command.written or not path.is_file():
+        return False
+    status = path.stat()
+    return max(status.st_mtime, status.st_ctime) > command.began
+
+
+def _find_free_names(paths: Sequence[Path]) -> list[Path]:
+    """Add the first number to names by which none of them exists."""
+    numbered = ([p.with_stem(f"{p.stem}-{number}") for p in paths] for number in count(2))
+    return next(names for names in numbered if not any(path.exists() for path in names))
 
 
 def _flush(path: Path) -> None:

@@ -123,7 +123,7 @@ def write_file(address: str, content: bytes) -> None:
     with report_storage(address):
         system, path = _open(address)
         if isinstance(system, LocalFileSystem):
-            with atomic_write(path) as temporary:
+            with atomic_write(path, shared=True) as temporary:
                 temporary.write_bytes(content)
         else:
             system.pipe_file(path, content)
@@ -153,7 +153,7 @@ def upload(path: Path, address: str) -> None:
     with report_storage(address):
         system, target = _open(address)
         if isinstance(system, LocalFileSystem):
-            with atomic_write(target) as temporary:
+            with atomic_write(target, shared=True) as temporary:
                 shutil.copyfile(path, temporary)
         else:
             system.put_file(os.fspath(path), target)

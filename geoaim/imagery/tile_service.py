@@ -81,7 +81,7 @@ def fetch_tiles(
         try:
             for (_, path), content in zip(wanted, contents, strict=True):
                 if content:
-                    with atomic_write(path) as temporary:
+                    with atomic_write(path, shared=True) as temporary:
                         temporary.write_bytes(content)
                         _check_size(service, temporary)
         finally:

@@ -3,7 +3,13 @@ import sys
 
 import pytest
 
-from geoaim.base.files import TEMPORARY, atomic_folder, atomic_write
+from geoaim.base.files import (
+    TEMPORARY,
+    atomic_files,
+    atomic_folder,
+    atomic_write,
+    keep_files_of_others,
+)
 
 
 def test_a_complete_block_replaces_the_file(tmp_path):
@@ -104,3 +110,32 @@ def test_permissions_stay_and_a_pipe_is_not_replaced(tmp_path):
     with pytest.raises(ValueError, match="no ordinary file"), atomic_write(tmp_path / "pipe"):
         pytest.fail("the block ran")
     assert (tmp_path / "pipe").is_fifo()
+
+
+def write_map(folder, text, meanwhile=None):
+    paths = folder / "map.tif", folder / "map.png"
+    with atomic_files(*paths) as parts:
+        for part in parts:
+            part.write_text(text)
+        if meanwhile is not None:
+            paths[1].write_text(meanwhile)
+
+
+def test_what_another_program_writes_during_a_command_is_kept(tmp_path):
+    write_map(tmp_path, "old")
+    with keep_files_of_others():
+        write_map(tmp_path, "first")
+        write_map(tmp_path, "second")
+    taken = r"map\.png was written .*map-2\.tif and .*map-2\.png"
+    with keep_files_of_others(), pytest.raises(FileExistsError, match=taken):
+        write_map(tmp_path, "third", meanwhile="theirs")
+    found = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    assert found.pop("map.png") == "theirs"
+    assert found == {"map.tif": "second", "map-2.tif": "third", "map-2.png": "third"}
+
+
+def test_what_several_programs_write_is_replaced(tmp_path):
+    with keep_files_of_others(), atomic_write(tmp_path / "tile.png", shared=True) as part:
+        part.write_text("ours")
+        (tmp_path / "tile.png").write_text("theirs")
+    assert (tmp_path / "tile.png").read_text() == "ours"

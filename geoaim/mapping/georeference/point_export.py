@@ -39,7 +39,7 @@ def write_control_points(points: ControlPoints, path: str | Path) -> None:
     if Path(path).suffix not in FORMATS:
         raise ValueError(f"{path}: the name must end in {', '.join(FORMATS)}")
     text = format_points(points, Path(path).suffix)
-    with atomic_write(path) as temporary:
+    with atomic_write(path, shared=True) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
