@@ -23,16 +23,16 @@ from geoaim.base.errors import AlignmentError, GeoreferenceError
 from geoaim.base.geometry import make_similarity, to_opencv, translation
 from geoaim.base.progress import no_progress
 from geoaim.base.world import World, change_world, lonlat_from_world
-from geoaim.imagery.alignment.placing import place_by_imagery
+from geoaim.imagery.alignment.placing import MAX_CORNER_PX, place_by_imagery
 
-VALIDATION_SEED, TEST_SEED = 11, 21  # of the first places, one of each kind
+VALIDATION_SEED, TEST_SEED = 11, 41  # of the first places, one of each kind
 SEEDS = 3  # of places, and so of resolutions of the picture
 TRIALS, TILTED, OTHERS = 5, 3, 2  # views of each place; tilted ones; with another one's picture
 SIZE_PX = (540, 960)  # of a view
 RESOLUTIONS = (0.15, 0.2)  # metres per pixel, between which a view's lies
 MAX_OFF_M, MAX_SCALING = 30.0, 0.2
 TILT = 0.016  # of tilted views, per half of the diagonal; 1 degree for a field of view of 84
-MAX_ERROR_PX = 2.0  # of a corner; a larger one that is not refused is wrong
+MAX_ERROR_PX = 2.0  # of a corner; a larger one is wrong
 
 
 def look_at(pair: Pair, generator: np.random.Generator, tilt: float = 0.0) -> AIM:
@@ -96,9 +96,10 @@ def summarize(name: str, cases: list[Row]) -> dict[str, Any]:
             "corners in their 95 % regions, %": 100 * float((errors <= bounds).mean()),
             "stated 95 % radius, px": float(np.median(bounds)),
         }
-    wrong = int((errors.max(axis=1, initial=0) > MAX_ERROR_PX).sum())
+    wrong = errors.max(axis=1, initial=0) > MAX_ERROR_PX
+    sure = int((wrong & (bounds.max(axis=1, initial=0) <= MAX_CORNER_PX)).sum())
     seconds = float(np.median([case["s"] for case in cases]))
-    return row | {"over 2 px and not refused": wrong, "s": seconds}
+    return row | {"over 2 px": int(wrong.sum()), "of these not warned of": sure, "s": seconds}
 
 
 def main(

@@ -57,6 +57,7 @@ SEARCH_STEP_PX = 1.5  # between rotations and scales, at the longer ends of the 
 MIN_SEPARATION_PX = 4  # distance between candidates, pixels of the coarsest grid
 MAX_CANDIDATES = 4  # candidates that are refined
 MAX_REFINED = 2  # candidates that are kept after a refinement
+WIDENINGS = 4  # searches of further windows, by a homography of those that were found
 MIN_WINDOWS = 8  # windows that a refinement needs
 MAX_RIVAL_SHARE = 0.6  # a candidate with a smaller share of the best candidate's windows is dropped
 REFINE_SEARCH_PX = 6  # search radius for windows when a candidate is refined
@@ -102,6 +103,7 @@ class MatchedWindows(NamedTuple):
     in_reference: Float[Array, "M 2"]  # centres of the windows, world metres
     in_image: Float[Array, "M 2"]  # where the image shows the same ground, world metres
     residuals: Float[Array, "M 2"]  # distances from the fitted alignment, metres; y down
+    information: Float[Array, "M 2 2"]  # sharpness of the peaks, along east and north
 
 
 def match_image(
@@ -123,11 +125,23 @@ def match_image(
         ValueError: they lie in different worlds.
     """
     best, finest, _ = _find_place(image, reference, prior, progress)
-    grid, (source, target, _) = finest.grid, best.matches
-    motion = _fit_motion(best, finest)
+    grid = finest.grid
+    motion = fit_matches(best.matches, "homography", size=grid.shape)
+    for _ in range(WIDENINGS):
+        matrix = grid.world_from_grid @ motion.matrix @ grid.grid_from_world
+        wider = _count_agreements(finest, matrix)
+        if wider.agreeing <= best.agreeing:
+            break
+        best, motion = wider, fit_matches(wider.matches, "homography", size=grid.shape)
+    source, target, information = best.matches
     near = np.linalg.norm(motion.residuals, axis=1) < AGREEMENT_PX
     places = [transform_points(grid.world_from_grid, points[near]) for points in (source, target)]
-    return MatchedWindows(places[0], places[1], motion.residuals[near] * grid.resolution)
+    return MatchedWindows(
+        places[0],
+        places[1],
+        motion.residuals[near] * grid.resolution,
+        information[near] * [[1.0, -1.0], [-1.0, 1.0]],
+    )
 
 
 def _find_place(

@@ -10,11 +10,11 @@ from numpy import ndarray as Array
 from geoaim.aim.aim import AIM
 from geoaim.aim.position import CLAIMS, read_position_covariance
 from geoaim.aim.rectification import change_aim_world
-from geoaim.base.errors import AlignmentError
+from geoaim.base.errors import AlignmentError, warn
 from geoaim.base.geometry import transform_points, translation
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.base.world import choose_world, world_from_lonlat
-from geoaim.imagery.alignment.by_image import MatchedWindows, match_image
+from geoaim.imagery.alignment.by_image import CORRELATED_WINDOWS, MatchedWindows, match_image
 from geoaim.imagery.alignment.result import Prior
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.sources import Source
@@ -26,8 +26,7 @@ from geoaim.mapping.report import report_georeference, report_position
 
 BY_TELEMETRY = Prior(35.0, float(np.radians(45.0)), 0.25)  # how far off telemetry may be
 NEAR = Prior(35.0, float(np.pi), 0.25)  # and a position that is given by hand, in any direction
-# how far off a map is after a first match, which misses windows that a tilt moves
-NEARLY = Prior(4.0, float(np.radians(2.0)), 0.02)
+MAX_CORNER_PX = 2.0  # of the imagery; a corner that may be further off is warned of
 CELLS = 9  # of the longer side of the map; one window of each becomes a control point
 
 
@@ -70,17 +69,21 @@ def place_by_imagery(
     else:
         reference = read_imagery(imagery, world=rough.world, corners=region)
     height, width = rough.coverage.shape
-    for within in (prior, NEARLY):
-        windows = match_image(rough, reference, prior=within, progress=progress)
-        points = _make_points(windows, rough, reference, accuracy)
-        place = estimate_georeference(points, height=height, width=width, world=rough.world)
-        if within is prior:
-            rough = replace(rough, world_from_image=place.world_from_image)
+    windows = match_image(rough, reference, prior=prior, progress=progress)
+    points = _make_points(windows, rough, reference, accuracy)
+    place = estimate_georeference(points, height=height, width=width, world=rough.world)
     warn_of_small_part(points, (height, width))
+    stated = report_georeference(place, points)
+    farthest = float(max(stated["corner_uncertainty_m"]))
+    if farthest > MAX_CORNER_PX * reference.resolution:
+        warn(
+            f"a corner of the map may be {farthest:.1f} m off (95 %): too few windows of the"
+            " imagery lie near it. The report states each corner"
+        )
     kept = {name: value for name, value in rough.report.items() if name not in (*CLAIMS, "place")}
     report = {
         **kept,
-        "georeference": report_georeference(place, points),
+        "georeference": stated,
         "position": report_position(place, points),
         "placed_by_imagery": {
             "source": str(reference.report.get("source", "imagery")),
@@ -122,7 +125,8 @@ def _make_points(
     if not inside.any():
         raise AlignmentError("no window of the imagery lies on the map; is it the same place?")
     pixels, places = pixels[inside], windows.in_reference[inside]
-    chosen = _thin_out(pixels, max(height, width) / CELLS)
+    information = windows.information[inside]
+    chosen = _select_sharpest(pixels, information, max(height, width) / CELLS)
     own = read_position_covariance(reference.report)
     shared = accuracy**2 * np.eye(2) if own is None or accuracy else own
     return ControlPoints(
@@ -133,13 +137,16 @@ def _make_points(
         frames=(None,) * len(chosen),
         accuracy=float(np.sqrt(np.mean(windows.residuals**2))),
         shared_covariance=shared,
+        information=information[chosen],
+        redundancy=CORRELATED_WINDOWS,
     )
 
 
-def _thin_out(pixels: Float[Array, "m 2"], cell: float) -> Int[Array, " n"]:
-    """Choose the point of each square cell that is nearest to its middle."""
+def _select_sharpest(
+    pixels: Float[Array, "m 2"], information: Float[Array, "m 2 2"], cell: float
+) -> Int[Array, " n"]:
+    """Select the point of each square cell that is known best in its worst direction."""
     number = np.floor(pixels / cell)
-    distance = np.hypot(*(pixels - (number + 0.5) * cell).T)
-    order = np.argsort(distance)
+    order = np.argsort(-np.linalg.eigvalsh(information)[:, 0])
     _, first = np.unique(number[order], axis=0, return_index=True)
     return np.sort(order[first])

@@ -36,6 +36,9 @@ class ControlPoints:
     # covariance of an error that all points share, square metres east and north: that of the
     # imagery they were picked on; None where they state none
     shared_covariance: Float[Array, "2 2"] | None = None
+    # inverse covariances of the points up to one factor, east and north; None: all count alike
+    information: Float[Array, "m 2 2"] | None = None
+    redundancy: float = 1.0  # points that tell as much as one, since their errors are alike
 
 
 # What `read_control_points` reads: a file, points of Python, or `dataset.gcps` of rasterio.
@@ -206,4 +209,5 @@ def select_points(points: ControlPoints, indices: Sequence[int]) -> ControlPoint
         coordinates=points.coordinates[indices],
         names=tuple(points.names[i] for i in indices),
         frames=tuple(points.frames[i] for i in indices),
+        information=None if points.information is None else points.information[list(indices)],
     )

@@ -1,6 +1,10 @@
 """Estimate a georeference from ground control points."""
 
+from dataclasses import replace
+
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
 
 from geoaim.base.errors import GeoreferenceError
 from geoaim.base.geometry import image_corners, transform_points
@@ -85,9 +89,10 @@ def estimate_georeference(
     point_checks.check_layout(points, targets, size, outside=outside)
     plane = normalise_pixels(points.pixels, size)
     world_from_plane = fit_similarity(plane, targets)[0]
-    pairs = PointPairs(plane, transform_points(np.linalg.inv(world_from_plane), targets))
     scale = world_from_plane[:2, :2]
     metres = float(np.sqrt(np.linalg.det(scale)))
+    ground = transform_points(np.linalg.inv(world_from_plane), targets)
+    pairs = PointPairs(plane, ground, _compute_whitening(points, scale / metres))
     picking = point_checks.PICKING_SIGMA_PX / half_diagonal(*size)
     sigma = max(picking, points.accuracy / metres)
     used = reject_outlier(points.names, pairs, sigma)
@@ -96,6 +101,7 @@ def estimate_georeference(
         point_checks.check_layout(inliers, targets[used], size, outside=outside)
     fitted = select_pairs(pairs, used)
     posterior, candidates = _fit_models(inliers.names, fitted, sigma, size, similarity)
+    posterior = replace(posterior, covariance=posterior.covariance * points.redundancy)
     best = choose_model(candidates)
     residuals = apply_terms(best.terms, plane) - pairs.ground
     leave_one_out = np.linalg.norm(residuals, axis=1)
@@ -127,6 +133,17 @@ def _measure_datum_accuracy(points: ControlPoints, world: World) -> float:
     operation = find_operation(points.crs, world.crs, points.coordinates)
     warn_of_operation(operation, points.crs, world.crs)
     return float(np.nan_to_num(operation.accuracy))
+
+
+def _compute_whitening(
+    points: ControlPoints, world_from_plane: Float[Array, "2 2"]
+) -> Float[Array, "m 2 2"] | None:
+    """Compute the whitening of errors in the normalised plane, in units of a typical one."""
+    if points.information is None:
+        return None
+    information = world_from_plane.T @ points.information @ world_from_plane
+    typical = np.exp(np.log(np.linalg.det(information)).mean() / 2)
+    return np.linalg.cholesky(information / typical).transpose(0, 2, 1)
 
 
 def project_points(points: ControlPoints, world: World | None) -> tuple[World, Points]:

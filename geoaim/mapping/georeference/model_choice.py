@@ -15,10 +15,8 @@ from geoaim.mapping.georeference.transform_models import (
     Points,
     Posterior,
     Terms,
-    apply_terms,
     fit_terms,
     invert_normal_matrix,
-    term_jacobian,
 )
 
 # candidates for the noise as multiples of the expected one; a priori, all are equally probable
@@ -70,15 +68,17 @@ def _fit_candidate(
     """Fit one model; a leave-one-out residual is (I - H)^-1 e, H the point's hat matrix block."""
     ridge = posterior.precision * posterior.noise**2
     terms = fit_terms(pairs, free, ridge)
-    error = pairs.ground - apply_terms(terms, pairs.image)
-    design = term_jacobian(terms, pairs.image)[:, :, free]
+    error = pairs.compute_errors(terms)
+    design = pairs.compute_design(terms)[:, :, free]
     flat = design.reshape(-1, len(free))
     inverse = invert_normal_matrix(flat.T @ flat + np.diag(ridge[free]))
     leverage = np.eye(2) * (1.0 + 1e-12) - design @ inverse @ design.transpose(0, 2, 1)
-    leave_one_out = np.linalg.solve(leverage, error[:, :, None])[:, :, 0]
+    leave_one_out = np.linalg.solve(leverage, error[:, :, None])
+    if pairs.whitening is not None:
+        leave_one_out = np.linalg.solve(pairs.whitening, leave_one_out)
     evidence = _integrate_noise(error, flat, posterior.precision[free], sigma)
     evidence += compute_log_prior(terms, free)
-    return Candidate(model, terms, leave_one_out, evidence)
+    return Candidate(model, terms, leave_one_out[:, :, 0], evidence)
 
 
 def _integrate_noise(error: Points, design: Array, precision: Array, sigma: float) -> float:

@@ -12,7 +12,6 @@ from geoaim.mapping.georeference.transform_models import (
     Posterior,
     apply_terms,
     select_pairs,
-    term_jacobian,
 )
 
 SIGMA_DOF = 3.0  # degrees of freedom that the expected noise counts for
@@ -73,8 +72,8 @@ def _find_suspects(pairs: PointPairs, sigma: float) -> list[int]:
 
 def _measure_falls(pairs: PointPairs, posterior: Posterior) -> Float[Array, "m"]:
     """By how much the misfit falls without each point, to first order."""
-    error = (pairs.ground - apply_terms(posterior.mean, pairs.image))[:, :, None]
-    jacobian = term_jacobian(posterior.mean, pairs.image)
+    error = pairs.compute_errors(posterior.mean)[:, :, None]
+    jacobian = pairs.compute_design(posterior.mean)
     hat = jacobian @ posterior.covariance @ jacobian.transpose(0, 2, 1) / posterior.noise**2
     return np.sum(error * np.linalg.solve(np.eye(2) * (1.0 + 1e-9) - hat, error), axis=(1, 2))
 

@@ -14,10 +14,8 @@ from scipy.special import fdtri, gammaln
 from geoaim.mapping.georeference.transform_models import (
     PointPairs,
     Posterior,
-    apply_terms,
     fit_terms,
     invert_normal_matrix,
-    term_jacobian,
 )
 
 # One sigma for a camera that looks straight down: stretch and shear 1 %, perspective 5 % over half
@@ -46,10 +44,10 @@ def fit_posterior(
     for _ in range(MAX_ITERATIONS):
         previous = terms
         terms = fit_terms(pairs, list(range(9)), precision * variance, start)
-        design = term_jacobian(terms, pairs.image).reshape(-1, 9)
+        design = pairs.compute_design(terms).reshape(-1, 9)
         normal = design.T @ design
         inverse = invert_normal_matrix(normal + np.diag(precision * variance))
-        squares = float(np.sum((pairs.ground - apply_terms(terms, pairs.image)) ** 2))
+        squares = float(np.sum(pairs.compute_errors(terms) ** 2))
         freedom = float(2 * len(pairs.image) - np.trace(inverse @ normal))
         variance, dof = _estimate_noise(squares, freedom, sigma, sigma_dof)
         precision = KNOWN if similarity else _reweight_prior(terms)

@@ -31,6 +31,19 @@ class PointPairs:
 
     image: Points
     ground: Points
+    # brings the errors of points of unequal accuracy to one variance; None: all count alike
+    whitening: Float[Array, "m 2 2"] | None = None
+
+    def compute_errors(self, terms: Terms) -> Points:
+        """Compute how far the ground lies from where terms put the points, whitened."""
+        return self._whiten((self.ground - apply_terms(terms, self.image))[:, :, None])[:, :, 0]
+
+    def compute_design(self, terms: Terms) -> Float[Array, "m 2 9"]:
+        """Compute the derivatives of the terms' places to each term, whitened."""
+        return self._whiten(term_jacobian(terms, self.image))
+
+    def _whiten(self, values: Float[Array, "m 2 k"]) -> Float[Array, "m 2 k"]:
+        return values if self.whitening is None else self.whitening @ values
 
 
 @dataclass(frozen=True)
@@ -47,7 +60,8 @@ class Posterior:
 
 def select_pairs(pairs: PointPairs, keep: Bool[Array, "m"]) -> PointPairs:
     """Keep the pairs where the mask `keep` is True."""
-    return PointPairs(pairs.image[keep], pairs.ground[keep])
+    whitening = None if pairs.whitening is None else pairs.whitening[keep]
+    return PointPairs(pairs.image[keep], pairs.ground[keep], whitening)
 
 
 def apply_terms(terms: Terms, points: Points) -> Points:
@@ -99,12 +113,12 @@ def fit_terms(
 
     def residuals(values: Array) -> Array:
         terms[free] = values
-        error = apply_terms(terms, pairs.image) - pairs.ground
+        error = -pairs.compute_errors(terms)
         return np.concatenate([error.ravel(), root * values])
 
     def jacobian(values: Array) -> Array:
         terms[free] = values
-        design = term_jacobian(terms, pairs.image).reshape(-1, 9)[:, free]
+        design = pairs.compute_design(terms).reshape(-1, 9)[:, free]
         return np.concatenate([design, np.diag(root)])
 
     first = np.zeros(len(free)) if start is None else start[free]

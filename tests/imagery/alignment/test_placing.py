@@ -15,6 +15,7 @@ from geoaim.base.geometry import image_corners, make_similarity, transform_point
 from geoaim.base.progress import no_progress
 from geoaim.base.world import World, lonlat_from_world
 from geoaim.cli import app
+from geoaim.imagery.alignment import placing
 from geoaim.imagery.alignment.placing import place_by_imagery
 
 SAMPLES = Path(__file__).parents[3] / "samples"
@@ -83,6 +84,12 @@ def test_a_local_map_is_placed_near_a_position_in_any_direction(aim, ortho):
     expected = lonlat_from_world(aim.world, aim.corners)
     metres = (lonlat - expected) * [111e3 * np.cos(np.radians(latitude)), 111e3]
     assert np.hypot(*metres.T).max() < 0.3
+
+
+def test_a_corner_that_may_be_off_is_warned_of(aim, ortho, monkeypatch):
+    monkeypatch.setattr(placing, "MAX_CORNER_PX", 0.0)
+    with pytest.warns(UserWarning, match="a corner of the map may be"):
+        placing.place_by_imagery(aim, ortho, progress=no_progress)
 
 
 def test_other_ground_is_refused(aim, ortho):

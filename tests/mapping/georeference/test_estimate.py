@@ -98,3 +98,33 @@ def test_the_accuracy_of_the_transformation_enters_the_uncertainty():
     assert bound[0] >= 2.4 * datum.datum_accuracy
     assert map_uncertainty(datum)["worst_corner_with_point_there_m"] >= 2.4
     assert predict_uncertainty(exact, middle)[1][0] < 1.0
+
+
+def test_points_of_unequal_accuracy_count_by_it():
+    generator = np.random.default_rng(5)
+    sigma = np.where(np.arange(len(GRID)) % 2, 0.02, 0.3)[:, None]  # m
+    points = make_points()
+    noise = sigma * generator.normal(size=(12, 2))
+    points = replace(points, coordinates=points.coordinates + noise, accuracy=0.3)
+    known = replace(points, information=np.eye(2) / sigma[:, :, None] ** 2)
+    errors, stated = [], []
+    for some in (points, known):
+        found = estimate_georeference(some, **SIZE)
+        offset = world_from_pixels(found, GRID) - transform_points(TRUTH, GRID)
+        errors.append(np.linalg.norm(offset, axis=1).mean())
+        stated.append(predict_uncertainty(found, GRID)[1].mean())
+    assert errors[1] < 0.5 * errors[0]
+    assert stated[1] < 0.5 * stated[0]
+
+
+def test_equal_information_changes_nothing_and_redundancy_widens_the_statement():
+    points = make_points(noise=1.0)
+    alike = replace(points, information=np.broadcast_to(7.0 * np.eye(2), (12, 2, 2)))
+    plain, equal, redundant = (
+        estimate_georeference(some, **SIZE)
+        for some in (points, alike, replace(points, redundancy=3.0))
+    )
+    np.testing.assert_allclose(equal.world_from_image, plain.world_from_image, rtol=1e-9)
+    np.testing.assert_allclose(equal.leave_one_out, plain.leave_one_out, rtol=1e-6)
+    once, thrice = (predict_uncertainty(one, GRID)[1] for one in (plain, redundant))
+    np.testing.assert_allclose(thrice, np.sqrt(3.0) * once, rtol=1e-2)
