@@ -31,6 +31,7 @@ FOLDER = "tracks/sdd_raw"
 SCENES = "hyang/video7", "gates/video6", "nexus/video10"
 TYPES = {"Biker": "cyclist", "Pedestrian": "pedestrian", "Cart": "car", "Skater": "pedestrian"}
 STRIDE, RATE, SECONDS = 3, 10.0, 60.0
+MAX_DISTANCE_M = 2.0  # at the border annotations are cut off, and our boxes are completed
 PART, SHARED = 500, 32  # frames of a part that was annotated at once, and of the one before in it
 
 
@@ -90,7 +91,7 @@ def _score_parts(parts: list[tuple[Tracks, Tracks]]) -> dict[str, Any]:
     """Score parts that share no agent."""
     agree, boxes, counts = 0.0, 0, np.zeros(2, int)
     for own, found in parts:
-        pairs, _ = match_states(own, found, 1.0)
+        pairs, _ = match_states(own, found, MAX_DISTANCE_M)
         shared = np.zeros((len(own.ids), len(found.ids)))
         np.add.at(shared, tuple(pairs.T), 1)
         count = int(own.present.sum() + found.present.sum())
