@@ -15,6 +15,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.optimize import linear_sum_assignment
 
+from geoaim.base.errors import TracksError
 from geoaim.base.world import World
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.tracking.association import MIN_HIT_SHARE, MIN_HITS
@@ -151,7 +152,7 @@ def _place(
     placed = place_boxes(filled, world_from_frame, size)
     states = pd.DataFrame(
         {
-            "id": placed.ids,
+            "id": np.concatenate([part["id"] for part in steps]),
             "type": placed.types,
             "time": times[placed.step],
             "x": placed.position[:, 0],
@@ -179,6 +180,8 @@ def _fill_gaps(rows: pd.DataFrame) -> pd.DataFrame:
             columns = {key: np.interp(span, track["step"], track[key]) for key in SIDES}
             kind = track["type"].mode()[0]
             filled.append(pd.DataFrame(columns | {"step": span, "id": str(name), "type": kind}))
+    if not filled:
+        raise TracksError("no track is long enough")
     return pd.concat(filled, ignore_index=True)
 
 
