@@ -27,7 +27,8 @@ STANDING_SIGMAS = (0.5, 0.7)  # m and m/s, of what stood before and after, for h
 # minus twice the log of: an end and a start inside the frame; less for each one at the border
 UNJOINED_COST, BORDER_GAIN = 34.0, 8.0
 LENGTH_SIGMA, GROUP_COST, TYPE_COST = 0.1, 10.0, 2.0  # the first of the logarithm of a length
-MIN_SIZED_SPEED, SIDE_SIGMA_M = 2.0, 0.2  # m/s, above which its boxes tell it; m, of their sides
+MIN_MOVING_SPEED, SIDE_SIGMA_M = 2.0, 0.2  # m/s, above which boxes tell it; m, of their sides
+TURNED_BACK, TURN_COST = -0.7, 10.0  # cosine of a turn while lost that few vehicles make
 
 
 def find_false_ends(
@@ -116,6 +117,9 @@ def join_tracks(
     length = _measure_lengths(detections, rows, motion, types)
     change = np.nan_to_num((length[early] - length[late]) / LENGTH_SIGMA) ** 2
     cost += np.minimum(change, GROUP_COST)
+    starting, ending = _find_directions(motion, rows)
+    back = (ending[early] * starting[late]).sum(axis=1) < TURNED_BACK
+    cost += TURN_COST * back
     cost += TYPE_COST * (kinds[early] != kinds[late])
     cost += GROUP_COST * (groups[early] != groups[late])
     edges = [select_detections(detections, rows.detection[part]) for part in (ends, starts)]
@@ -204,12 +208,27 @@ def _compare(
     return distance + density, distance
 
 
+def _find_directions(
+    motion: TrackMotion, rows: TrackRows
+) -> tuple[Float[Array, "N 2"], Float[Array, "N 2"]]:
+    """Find the first and the last direction in which each track moves; 0 if it never does."""
+    velocity = motion.mean[:, 1]
+    speed = np.hypot(*velocity.T)
+    moving = np.flatnonzero(speed > MIN_MOVING_SPEED)
+    bounds = np.searchsorted(rows.agent[moving], np.arange(len(rows.bounds)))
+    moves = np.diff(bounds) > 0
+    found = np.zeros((2, len(moves), 2))
+    for number, edge in enumerate((bounds[:-1][moves], bounds[1:][moves] - 1)):
+        found[number, moves] = velocity[moving[edge]] / speed[moving[edge], None]
+    return found[0], found[1]
+
+
 def _measure_lengths(
     detections: GroundDetections, rows: TrackRows, motion: TrackMotion, types: tuple[str, ...]
 ) -> Float[Array, "N"]:
     """Measure the logarithm of each track's length, by whole boxes where it moves; or NaN."""
     velocity = motion.mean[:, 1]
-    usable = (rows.detection >= 0) & (np.hypot(*velocity.T) > MIN_SIZED_SPEED)
+    usable = (rows.detection >= 0) & (np.hypot(*velocity.T) > MIN_MOVING_SPEED)
     usable &= ~detections.may_be_cut[rows.detection]
     direction = np.arctan2(velocity[:, 1], velocity[:, 0])
     found = np.full(len(types), np.nan)
