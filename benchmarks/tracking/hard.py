@@ -15,12 +15,14 @@ import typer
 
 from benchmarks.results import JsonFile, print_rows, write_rows
 from benchmarks.synthetic.roads.layouts import PlaceKind
-from benchmarks.tracking.benchmark import SECONDS, TEST_SEED, VALIDATION_SEED, measure_case
+from benchmarks.tracking.benchmark import SECONDS, VALIDATION_SEED, measure_case
 from benchmarks.tracking.cases import DetectorErrors, TrackingCase, make_drawn_case
 from benchmarks.tracking.lanes import make_lanes_case
 from benchmarks.tracking.peers import list_peers
+from geoaim.base.errors import TracksError
 from geoaim.tracking.pipeline import track_boxes
 
+TEST_SEED = 2900  # those from 1900 on have been judged three times
 SIZE = (1080, 1920)
 PLACES: tuple[PlaceKind, ...] = ("junction", "roundabout")
 BURSTS = DetectorErrors(misses=0.15, burst=4.0)
@@ -71,8 +73,12 @@ def measure_hard(seed: int) -> Iterator[dict[str, Any]]:
     for name, (errors, stride) in CONDITIONS.items():
         for case in make_cases(seed, errors):
             for method, tracker in trackers.items():
-                row = next(iter(measure_case(take_frames(case, stride), tracker)))
-                yield {"method": method, "boxes": name} | row
+                given = {"method": method, "boxes": name}
+                try:
+                    yield given | next(iter(measure_case(take_frames(case, stride), tracker)))
+                except TracksError:  # it finds nothing
+                    nothing = {"IDF1": 0.0, "IDF1 near": 0.0, "HOTA": 0.0}
+                    yield given | {"video": case.name, "agents of": "vehicle"} | nothing
 
 
 def main(

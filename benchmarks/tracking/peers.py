@@ -1,4 +1,4 @@
-"""Trackers to compare with: ByteTrack and OC-SORT in pixels, then placed in the world.
+"""Trackers to compare with: ByteTrack, OC-SORT and BoT-SORT in pixels, then placed in the world.
 
 They run as their users run them, with their defaults and the frame rate. HOTA and IDF1 judge their
 own boxes, with gaps filled and short tracks dropped as ours are. They are measured where roboflow's
@@ -7,6 +7,7 @@ trackers is installed: `pip install trackers`.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.optimize import linear_sum_assignment
 
+from geoaim.base.errors import TracksError
 from geoaim.base.world import World
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.tracking.association import MIN_HIT_SHARE, MIN_HITS
@@ -44,18 +46,20 @@ def list_peers() -> Mapping[str, Tracker]:
     """List the trackers that are installed, by name, each with the interface of `track_boxes`."""
     floor = {"Kalman and Hungarian": follow_by_kalman}
     try:
-        from trackers import ByteTrackTracker, OCSORTTracker  # peers, not dependencies
+        from trackers import BoTSORTTracker, ByteTrackTracker, OCSORTTracker  # not dependencies
     except ImportError:
         print("trackers is not installed: pip install trackers")
         return floor
 
-    def follow_by_bytetrack(*arguments: object) -> PeerTracks:
-        return _track(lambda rate: ByteTrackTracker(frame_rate=rate), *arguments)  # type: ignore[arg-type]
+    def follow(make: Callable[..., Any], **options: object) -> Tracker:
+        return lambda *given: _track(lambda rate: make(frame_rate=rate, **options), *given)
 
-    def follow_by_ocsort(*arguments: object) -> PeerTracks:
-        return _track(lambda rate: OCSORTTracker(frame_rate=rate), *arguments)  # type: ignore[arg-type]
-
-    return floor | {"ByteTrack": follow_by_bytetrack, "OC-SORT": follow_by_ocsort}
+    return floor | {
+        "ByteTrack": follow(ByteTrackTracker),
+        "OC-SORT": follow(OCSORTTracker),
+        # its camera motion is estimated from pictures, of which there are none here
+        "BoT-SORT": follow(BoTSORTTracker, enable_cmc=False),
+    }
 
 
 def _track(
@@ -148,7 +152,7 @@ def _place(
     placed = place_boxes(filled, world_from_frame, size)
     states = pd.DataFrame(
         {
-            "id": placed.ids,
+            "id": np.concatenate([part["id"] for part in steps]),
             "type": placed.types,
             "time": times[placed.step],
             "x": placed.position[:, 0],
@@ -176,6 +180,8 @@ def _fill_gaps(rows: pd.DataFrame) -> pd.DataFrame:
             columns = {key: np.interp(span, track["step"], track[key]) for key in SIDES}
             kind = track["type"].mode()[0]
             filled.append(pd.DataFrame(columns | {"step": span, "id": str(name), "type": kind}))
+    if not filled:
+        raise TracksError("no track is long enough")
     return pd.concat(filled, ignore_index=True)
 
 

@@ -14,6 +14,7 @@ from geoaim.tracks.tracks import Tracks
 
 MIN_IOU = 0.3  # of boxes whose states are compared
 IDENTITY_IOU, HOTA_IOUS = 0.5, np.arange(0.05, 0.99, 0.05)
+NEAR_IOU = 0.05  # of boxes of an agent that nobody saw for a while: identities alone
 MIN_MOVING_SPEED = 0.5  # m/s
 MAX_HEADING_SIGMA_RAD = 1.5  # of a heading that counts as known
 CHI_SQUARED_95, NORMAL_95 = 5.991, 1.96  # of two coordinates; of one
@@ -116,6 +117,7 @@ def _judge_identities(data: dict[str, Any]) -> dict[str, float]:
     return {
         "HOTA": hota,
         "IDF1": idf1,
+        "IDF1 near": _judge_idf1(data, NEAR_IOU),
         "agents": data["num_gt_ids"],
         "tracks": data["num_tracker_ids"],
     }
@@ -125,11 +127,11 @@ def _list_frames(data: dict[str, Any]) -> list[tuple[Array, Array, Array]]:
     return list(zip(data["gt_ids"], data["tracker_ids"], data["similarity_scores"], strict=True))
 
 
-def _judge_idf1(data: dict[str, Any]) -> float:
+def _judge_idf1(data: dict[str, Any], least: float = IDENTITY_IOU) -> float:
     """Compute IDF1 (Ristani et al. 2016): each agent has one track, so that most boxes agree."""
     shared = np.zeros((data["num_gt_ids"], data["num_tracker_ids"]))
     for agents, tracks, similarity in _list_frames(data):
-        rows, columns = np.nonzero(similarity >= IDENTITY_IOU)
+        rows, columns = np.nonzero(similarity >= least)
         shared[agents[rows], tracks[columns]] += 1
     return compute_idf1(shared, data["num_gt_dets"] + data["num_tracker_dets"])
 

@@ -13,7 +13,7 @@ from geoaim.tracks.agent_types import TYPICAL_SIZES
 from geoaim.tracks.formats.plausibility import check_plausibility
 from geoaim.tracks.tracks import Tracks
 
-MAX_IOU = 0.5  # of the boxes of two agents; those that overlap more are of one
+MAX_IOU = 0.6  # of the boxes of two agents; those that overlap more are of one
 MAX_CONTAINED = 0.9  # share of a box in another one of its class: a part of it, cut by a slice
 # of the middles of an agent's boxes, in their sides and in pixels: the noise of small boxes decides
 # how they overlap, but larger ones that are further apart are neighbours

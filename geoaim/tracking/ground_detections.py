@@ -32,7 +32,6 @@ class GroundDetections:
     resolution: Float[Array, " M"]  # metres per pixel there
     score: Float[Array, " M"]  # confidence of the detector, 0 to 1; NaN if unknown
     types: Shaped[Array, " M"]  # agent types, "" if unknown
-    ids: Shaped[Array, " M"]  # ids that a tracker gave, "" if none
     roof_sigma: Float[Array, " M"]  # how far off the correction of a roof may be, m; 0 without one
 
     @property
@@ -119,7 +118,6 @@ def _place(
         resolution=np.sqrt(extent.prod(axis=1) / np.maximum(pixels, 1e-9)),
         score=np.concatenate([boxes.get_scores() for _, boxes in known]),
         types=np.concatenate([boxes.get_types() for _, boxes in known]),
-        ids=np.concatenate([boxes.get_ids() for _, boxes in known]),
         roof_sigma=np.zeros(len(step)),
     )
 

@@ -12,12 +12,13 @@ from geoaim.tracking.association import MIN_HITS, find_max_gap
 from geoaim.tracking.ground_detections import GroundDetections, select_detections
 from geoaim.tracking.kalman import TrackMotion, TrackRows, predict
 from geoaim.tracking.noise import SLOW_DT
+from geoaim.tracking.sizes import estimate_size
 from geoaim.tracks.agent_types import find_group
 
 MAX_GAP_S = 10.0  # between two tracks of one agent that moves
 # m²/s³; spectral densities of the acceleration of an agent that is lost, along its way and across:
-# it goes on as it was, changes its speed in its lane, or does anything
-JOIN_NOISE = ((0.3, 0.3), (6.0, 0.3), (6.0, 6.0))
+# it goes on as it was, changes its speed in its lane, or turns as well
+JOIN_NOISE = ((0.3, 0.3), (6.0, 0.3), (6.0, 25.0))
 PEDESTRIAN_SHARE = 0.01  # of these for pedestrians, who hardly change their walk
 MAX_DISTANCE = 25.0  # squared, in standard deviations
 MAX_END_DISTANCE = 9.0  # the same of an end of a track from what the rest of it tells
@@ -25,7 +26,9 @@ STANDING_SPEED = 0.7  # m/s
 STANDING_SIGMAS = (0.5, 0.7)  # m and m/s, of what stood before and after, for however long
 # minus twice the log of: an end and a start inside the frame; less for each one at the border
 UNJOINED_COST, BORDER_GAIN = 34.0, 8.0
-SIZE_SIGMA, GROUP_COST, TYPE_COST = 0.2, 10.0, 2.0
+LENGTH_SIGMA, GROUP_COST, TYPE_COST = 0.1, 10.0, 2.0  # the first of the logarithm of a length
+MIN_MOVING_SPEED, SIDE_SIGMA_M = 2.0, 0.2  # m/s, above which boxes tell it; m, of their sides
+TURNED_BACK, TURN_COST = -0.7, 10.0  # cosine of a turn while lost that few vehicles make
 
 
 def find_false_ends(
@@ -77,8 +80,8 @@ def join_tracks(
     """Join tracks that end and begin as one agent would, by one optimal assignment.
 
     The cost of a pair is minus twice its log likelihood: how far the later one begins, in place and
-    velocity, from where the earlier one would then be, and how alike their sizes and types are. Of
-    several ways to go on, the likeliest counts. What stands may be lost for however long.
+    velocity, from where the earlier one would then be, and how alike their lengths and types are.
+    Of several ways to go on, the likeliest counts. What stands may be lost for however long.
 
     Args:
         motion: smoothed motion of the tracks.
@@ -111,9 +114,13 @@ def join_tracks(
     resting, near = _compare(motion.mean[starts] - motion.mean[ends], fixed, fixed)
     better = stands & ((resting < cost) | (gap > MAX_GAP_S))
     cost, distance = np.where(better, resting, cost), np.where(better, near, distance)
-    side = _measure_sides(detections, rows)
-    change = np.minimum(np.nan_to_num((side[early] - side[late]) / SIZE_SIGMA) ** 2, GROUP_COST)
-    cost += change + TYPE_COST * (kinds[early] != kinds[late])
+    length = _measure_lengths(detections, rows, motion, types)
+    change = np.nan_to_num((length[early] - length[late]) / LENGTH_SIGMA) ** 2
+    cost += np.minimum(change, GROUP_COST)
+    starting, ending = _find_directions(motion, rows)
+    back = (ending[early] * starting[late]).sum(axis=1) < TURNED_BACK
+    cost += TURN_COST * back
+    cost += TYPE_COST * (kinds[early] != kinds[late])
     cost += GROUP_COST * (groups[early] != groups[late])
     edges = [select_detections(detections, rows.detection[part]) for part in (ends, starts)]
     outward = [part.find_outward() for part in edges]
@@ -201,17 +208,36 @@ def _compare(
     return distance + density, distance
 
 
-def _measure_sides(detections: GroundDetections, rows: TrackRows) -> Float[Array, "N"]:
-    """Measure the logarithm of each track's mean side, by its whole boxes; NaN without any."""
-    sides = np.log(np.maximum(detections.extent.prod(axis=1), 1e-6)) / 2
-    sides[detections.may_be_cut] = np.nan
-    found = np.full(len(rows.bounds) - 1, np.nan)
+def _find_directions(
+    motion: TrackMotion, rows: TrackRows
+) -> tuple[Float[Array, "N 2"], Float[Array, "N 2"]]:
+    """Find the first and the last direction in which each track moves; 0 if it never does."""
+    velocity = motion.mean[:, 1]
+    speed = np.hypot(*velocity.T)
+    moving = np.flatnonzero(speed > MIN_MOVING_SPEED)
+    bounds = np.searchsorted(rows.agent[moving], np.arange(len(rows.bounds)))
+    moves = np.diff(bounds) > 0
+    found = np.zeros((2, len(moves), 2))
+    for number, edge in enumerate((bounds[:-1][moves], bounds[1:][moves] - 1)):
+        found[number, moves] = velocity[moving[edge]] / speed[moving[edge], None]
+    return found[0], found[1]
+
+
+def _measure_lengths(
+    detections: GroundDetections, rows: TrackRows, motion: TrackMotion, types: tuple[str, ...]
+) -> Float[Array, "N"]:
+    """Measure the logarithm of each track's length, by whole boxes where it moves; or NaN."""
+    velocity = motion.mean[:, 1]
+    usable = (rows.detection >= 0) & (np.hypot(*velocity.T) > MIN_MOVING_SPEED)
+    usable &= ~detections.may_be_cut[rows.detection]
+    direction = np.arctan2(velocity[:, 1], velocity[:, 0])
+    found = np.full(len(types), np.nan)
     for number, part in enumerate(rows.list_parts()):
-        seen = rows.detection[part]
-        known = sides[seen[seen >= 0]]
-        known = known[np.isfinite(known)]
-        if len(known):
-            found[number] = np.median(known)
+        seen = rows.detection[part][usable[part]]
+        if len(seen) >= MIN_HITS:
+            turn = direction[part][usable[part]] - detections.axis[seen]
+            extent = detections.extent[seen]
+            found[number] = np.log(estimate_size(extent, turn, SIDE_SIGMA_M, types[number])[0])
     return found
 
 

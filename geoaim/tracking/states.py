@@ -79,7 +79,7 @@ def make_states(
     del again
     lasting = _measure_lasting(detections, agents.sizes[track], poses.states[at, 2], noise)
     lasting = np.hypot(lasting, detections.roof_sigma)
-    poses = _add_lasting(poses, rows, agents, (lasting, np.where(cut, size_sigma[track] / 2, 0.0)))
+    _add_lasting(poses, rows, agents, (lasting, np.where(cut, size_sigma[track] / 2, 0.0)))
     found = {
         "states": poses.states,
         "observed": observed,
@@ -226,15 +226,13 @@ def _add_lasting(
     rows: TrackRows,
     agents: AgentTraits,
     errors: tuple[Float[Array, "M"], Float[Array, "M"]],
-) -> Poses:
+) -> None:
     """Add errors that last to the uncertainty: of the boxes, and of those that are completed."""
     steps = np.arange(len(rows.step))
-    last = np.maximum.accumulate(np.where(rows.detection >= 0, steps, 0))
-    box, completed = (error[rows.detection[last]] for error in errors)
-    uncertainty = poses.uncertainty.copy()
-    uncertainty[:, 0] = np.sqrt(uncertainty[:, 0] ** 2 + box**2 + completed**2)
-    known = uncertainty[:, 1] < LINE_SIGMA_RAD
-    axle = np.maximum(REAR_AXLE_SHARE * agents.sizes[rows.agent, 0], 0.1)
-    drift = LASTING_TURN * np.hypot(box, completed) / axle
-    uncertainty[known, 1] = np.minimum(np.hypot(uncertainty[:, 1], drift), np.pi)[known]
-    return Poses(poses.states, uncertainty)
+    last = rows.detection[np.maximum.accumulate(np.where(rows.detection >= 0, steps, 0))]
+    error = np.hypot(*errors)[last]
+    poses.uncertainty[:, 0] = np.hypot(poses.uncertainty[:, 0], error)
+    known = poses.uncertainty[:, 1] < LINE_SIGMA_RAD
+    axle = np.maximum(REAR_AXLE_SHARE * agents.sizes[:, 0], 0.1)
+    drift = LASTING_TURN * error[known] / axle[rows.agent[known]]
+    poses.uncertainty[known, 1] = np.minimum(np.hypot(poses.uncertainty[known, 1], drift), np.pi)

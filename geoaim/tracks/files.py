@@ -64,7 +64,7 @@ from geoaim.tracks.tracks import (
     Tracks,
 )
 
-PART_ROWS = 50_000  # rows that are written at a time
+PART_ROWS = 10_000  # rows that are written at a time
 
 if TYPE_CHECKING:
     from pyarrow import DataType

@@ -170,13 +170,13 @@ class Tracks(Display):
         Yields:
             The parts.
         """
-        agents, steps = np.nonzero(self.present)
+        places = np.flatnonzero(self.present)
         states, observed, seen, uncertainty = (
             self.get_rows(name) for name in ("states", "observed", "seen", "uncertainty")
         )
-        for begin in range(0, max(len(agents), 1), size or max(len(agents), 1)):
+        for begin in range(0, max(len(places), 1), size or max(len(places), 1)):
             part = slice(begin, None if size is None else begin + size)
-            agent, step = agents[part], steps[part]
+            agent, step = np.unravel_index(places[part], self.present.shape)
             values = np.column_stack([self.times[step], states[part], self.sizes[agent]])
             frame = pd.DataFrame(values, columns=list(COLUMNS[2:]))
             frame.insert(0, "id", np.array(self.ids, object)[agent])

@@ -54,6 +54,12 @@ def test_people_side_by_side_are_kept_unless_noise_may_part_their_boxes(side, ke
     assert count == 2 - kept
 
 
+def test_two_who_walk_together_are_kept_though_half_of_their_boxes_overlaps():
+    boxes = np.array([[100.0, 100, 136, 180], [98, 68, 130, 184]])  # 0.57 of their union
+    [cleaned], count, _ = drop_doubled_boxes([DetectedBoxes(boxes, types=("pedestrian",) * 2)])
+    assert (len(cleaned.boxes), count) == (2, 0)
+
+
 @pytest.mark.parametrize("factor", [0.3, 4.0])
 def test_sizes_that_cannot_be_are_refused(cars, factor):
     frames, matrices = detect(cars)

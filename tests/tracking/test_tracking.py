@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.tracking.benchmark import measure_case
 from benchmarks.tracking.cases import DetectorErrors, make_case_of
+from benchmarks.tracking.lanes import make_lanes_case
 from geoaim.base.errors import TracksError
 from geoaim.base.geometry import wrap_angle
 from geoaim.base.world import World
@@ -139,6 +141,15 @@ def test_a_lost_pedestrian_walks_on_and_one_who_comes_back_elsewhere_is_another(
         sizes=[(0.8, 0.8)] * 2,
     )
     assert len(track(truth, EXACT).ids) == count
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [609, 626, 2900])  # of turns, lengths and opposite directions
+def test_vehicles_that_are_lost_on_lanes_are_not_swapped(seed):
+    case = make_lanes_case(seed, errors=DetectorErrors(lost_s=4.0))
+    row = next(iter(measure_case(case, track_boxes)))
+    assert row["IDF1 near"] > 0.99
+    assert row["wrong sense %"] == 0
 
 
 def test_two_that_stood_on_opposite_lanes_are_not_swapped():
