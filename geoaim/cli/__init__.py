@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from geoaim import __version__
-from geoaim.base.files import keep_files_of_others
 from geoaim.cli.align import align
 from geoaim.cli.bench import bench
 from geoaim.cli.catalog import app as catalog
@@ -51,7 +50,6 @@ def _print_version(is_asked: bool) -> bool:
 
 @app.callback()
 def prepare(
-    context: typer.Context,
     debug: Annotated[bool, typer.Option("--debug", help="print the full traceback")] = False,
     version: Annotated[
         bool, typer.Option("--version", help="print the version", callback=_print_version)
@@ -59,7 +57,6 @@ def prepare(
 ) -> None:
     """Aerial image-based maps (AIM) from drone video: build, render, simulate, predict."""
     DEBUG.set(debug)
-    context.with_resource(keep_files_of_others())
     stop_when_terminated()
 
 

@@ -20,6 +20,7 @@ from rich.text import Text
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
 from geoaim.base.errors import IN_COMMAND, GeoaimError, GeoaimWarning
+from geoaim.base.files import keep_files_of_others
 from geoaim.base.progress import Progress
 from geoaim.base.texts import show_text
 
@@ -78,8 +79,11 @@ def show_progress() -> Iterator[Progress]:
 
 @contextmanager
 def report_errors() -> Iterator[None]:
-    """Print warnings as yellow lines; print any error as one red line and exit with code 1."""
-    with warnings.catch_warnings():
+    """Print warnings as yellow lines; print any error as one red line and exit with code 1.
+
+    Files that another program writes meanwhile are kept.
+    """
+    with warnings.catch_warnings(), keep_files_of_others():
         warnings.simplefilter("always", GeoaimWarning)
         warnings.showwarning = lambda message, *_, **__: console.print(
             Text.assemble(("warning", "yellow"), f": {message}")
