@@ -81,9 +81,10 @@ def _evaluate(one: RecordingSet) -> dict[str, Metrics]:
     model = read_pretrained(one.kind)
     predictors: dict[str, Predictor] = {"ITRA": model.sample, **BASELINES, "recording": replay}
     if model.config.brakes:
-        alone = read_pretrained(one.kind)
+        alone, blind = read_pretrained(one.kind), read_pretrained(one.kind)
         alone.config = replace(alone.config, brakes=False)
-        predictors["ITRA without braking"] = alone.sample
+        blind.config = replace(alone.config, reacts=False)
+        predictors |= {"ITRA, networks alone": alone.sample, "ITRA without reacting": blind.sample}
     found = {
         name: concat(
             [
