@@ -168,6 +168,8 @@ def _track_corners(reference: Grey) -> RegisterGrey:
         guess = forward
         good = (np.asarray(is_forward_found) & np.asarray(is_backward_found)).ravel().astype(bool)
         good &= np.hypot(*(backward - corners).reshape(-1, 2).T) < 0.5
+        if good.sum() < MIN_PAIRS:
+            return None
         homography, _ = cv2.findHomography(forward[good], corners[good], cv2.USAC_MAGSAC, 1.0)
         return None if homography is None else from_opencv(homography)
 
