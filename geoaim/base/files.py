@@ -181,6 +181,16 @@ def write_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
         figure.savefig(temporary, dpi=100, format="png")
 
 
+def check_not_foreign(path: Path) -> None:
+    """Check that no file would be replaced that `keep_files_of_others` keeps.
+
+    Raises:
+        FileExistsError: it would be.
+    """
+    if _is_foreign(path):
+        raise FileExistsError(f"{path} was written by another program meanwhile and is kept")
+
+
 def _is_foreign(path: Path) -> bool:
     """Whether another program has written a file since `keep_files_of_others` began."""
     command = _COMMAND.get()

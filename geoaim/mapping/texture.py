@@ -18,7 +18,7 @@ from geoaim.aim.texture_files import (
     hash_picture,
 )
 from geoaim.base.checksums import PLACEHOLDER, write_checksum
-from geoaim.base.files import atomic_write, lock_folder
+from geoaim.base.files import atomic_write, check_not_foreign, lock_folder
 
 
 def export_texture(
@@ -64,6 +64,7 @@ def export_texture(
     }
     frame |= {name: aim.report[name] for name in POSITION_KEYS if name in aim.report}
     with lock_folder(folder, wait=True):
+        check_not_foreign(Path(folder) / FRAME_FILE)
         _write_pair(Path(folder), frame, png.tobytes())
 
 
@@ -77,9 +78,9 @@ def _write_pair(folder: Path, frame: dict[str, object], png: bytes) -> None:
     is_new = not (folder / FRAME_FILE).exists()
     try:
         for name in (PICTURE_FILE,) if is_new else (spare, PICTURE_FILE):
-            with atomic_write(folder / name) as part:
+            with atomic_write(folder / name, shared=True) as part:
                 part.write_bytes(png)
-            with atomic_write(folder / FRAME_FILE) as part:
+            with atomic_write(folder / FRAME_FILE, shared=True) as part:
                 part.write_text(text.replace(f'"{PICTURE_FILE}"', f'"{name}"', 1) + "\n")
                 write_checksum(part)
     finally:

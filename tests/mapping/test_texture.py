@@ -10,6 +10,7 @@ from geoaim.aim.aim import AIM
 from geoaim.aim.rectification import rectify
 from geoaim.aim.texture_files import read_texture
 from geoaim.base.errors import AimError
+from geoaim.base.files import keep_files_of_others
 from geoaim.base.world import World
 from geoaim.mapping.texture import export_texture
 
@@ -123,3 +124,16 @@ def test_a_picture_that_claims_far_more_pixels_than_its_size_is_refused(tmp_path
     monkeypatch.setenv("GEOAIM_MAX_GB", "0.01")
     with pytest.raises(AimError, match="claims 1200 x 1200 pixels"):
         read_texture(tmp_path)
+
+
+def test_a_texture_that_another_program_wrote_meanwhile_is_kept(tmp_path):
+    with keep_files_of_others():
+        export_texture(make_aim(PLACE), tmp_path)
+        export_texture(make_aim(PLACE), tmp_path)
+    with keep_files_of_others():
+        with keep_files_of_others():
+            export_texture(make_aim(OBLIQUE), tmp_path)
+        theirs = read_texture(tmp_path)
+        with pytest.raises(FileExistsError, match=r"texture\.json was written by another program"):
+            export_texture(make_aim(PLACE), tmp_path)
+    np.testing.assert_array_equal(read_texture(tmp_path).image, theirs.image)
