@@ -64,10 +64,13 @@ def write(
 def run(
     folder: Folder,
     output: Annotated[Path, typer.Option("-o", "--output", help="folder of the tables")],
-    method: Annotated[str, typer.Option(help=", ".join(list_methods()))] = "geoaim",
+    method: Annotated[str, typer.Option(help="a name of `list_methods`")] = "geoaim",
 ) -> None:
     """Register the clips by one of the package's methods."""
-    register = list_methods()[method]
+    methods = list_methods()
+    if method not in methods:
+        raise typer.BadParameter(f"{method}: it is one of {', '.join(methods)}")
+    register = methods[method]
     output.mkdir(parents=True, exist_ok=True)
     for path in sorted(folder.glob("*.mp4")):
         frames = [frame.image for frame in open_video(path)]
@@ -116,8 +119,8 @@ def _measure_errors(path: Path, tables: Path) -> Float[Array, "T"]:
     truth = pd.read_csv(path.with_suffix(".truth.csv"), index_col="index")
     given = pd.read_csv(tables / f"{path.stem}.csv", index_col="index")[MATRIX]
     given = given.reindex(truth.index)
-    first = next(iter(open_video(path)))
-    corners = image_corners(*first.image.shape[:2])
+    video = open_video(path)
+    corners = image_corners(video.height, video.width)
     places = [
         transform_points(table.to_numpy().reshape(-1, 3, 3), corners) for table in (given, truth)
     ]

@@ -13,18 +13,19 @@ from typing import Annotated
 
 import cv2
 import numpy as np
+import torch
 import typer
 
 from geoaim.aim.files import read_aim
-from geoaim.base.geometry import make_similarity, transform_points
+from geoaim.base.geometry import transform_points
 from geoaim.base.progress import no_progress
 from geoaim.mapping.video.video import open_video
+from geoaim.simulation.overlap import compute_box_corners
 from geoaim.tracking.frame_poses import locate_frames
 from geoaim.tracks.formats.formats import read_tracks
 
 PART_PX, SCALE = 480, 3.2  # columns of the frame in a picture; enlargement
 RED, GREEN = (0, 0, 255), (0, 255, 0)
-UNIT = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
 
 
 def main(
@@ -46,14 +47,12 @@ def main(
         row = indices.index(frame.index)
         step = int(np.abs(tracks.times - poses.times[row]).argmin())
         frame_from_world = np.linalg.inv(poses.world_from_frame[row])
-        outlines = []
-        for agent in np.flatnonzero(tracks.present[:, step]):
-            x, y, heading, _ = tracks.states[agent, step]
-            world_from_agent = make_similarity(np.zeros(2), heading, 1.0)
-            world_from_agent[:2, 2] = x, y
-            corners = transform_points(world_from_agent, UNIT * tracks.sizes[agent])
-            color = RED if tracks.types[agent] == "cyclist" else GREEN
-            outlines.append((transform_points(frame_from_world, corners), color))
+        there = np.flatnonzero(tracks.present[:, step])
+        states, sizes = tracks.states[there, step, :3], tracks.sizes[there]
+        boxes = compute_box_corners(torch.from_numpy(states), torch.from_numpy(sizes)).numpy()
+        colors = [RED if tracks.types[agent] == "cyclist" else GREEN for agent in there]
+        placed = transform_points(frame_from_world, boxes)
+        outlines = list(zip(placed, colors, strict=True))
         outlines.sort(key=lambda outline: outline[0][:, 0].min())
         for left in range(0, clip.width, PART_PX):
             part = frame.image[low:high, left : left + PART_PX, ::-1]

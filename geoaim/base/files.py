@@ -89,7 +89,7 @@ def atomic_files(*paths: str | os.PathLike[str], shared: bool = False) -> Iterat
         for file, path in zip(temporary, kept, strict=True):
             os.replace(file, path)
         if command := _COMMAND.get():
-            command.written.update(kept)
+            command.written.update(path.resolve() for path in kept)
         if foreign:
             raise FileExistsError(
                 f"{foreign[0]} was written by another program meanwhile and is kept; "
@@ -194,7 +194,7 @@ def check_not_foreign(path: Path) -> None:
 def _is_foreign(path: Path) -> bool:
     """Whether another program has written a file since `keep_files_of_others` began."""
     command = _COMMAND.get()
-    if command is None or path in command.written or not path.is_file():
+    if command is None or path.resolve() in command.written or not path.is_file():
         return False
     status = path.stat()
     return max(status.st_mtime, status.st_ctime) > command.began

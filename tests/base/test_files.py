@@ -134,6 +134,15 @@ def test_what_another_program_writes_during_a_command_is_kept(tmp_path):
     assert found == {"map.tif": "second", "map-2.tif": "third", "map-2.png": "third"}
 
 
+def test_a_command_replaces_its_own_file_by_any_path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with keep_files_of_others():
+        for path in ("a.txt", tmp_path / "a.txt"):
+            with atomic_write(path) as part:
+                part.write_text(str(path))
+    assert (tmp_path / "a.txt").read_text() == str(tmp_path / "a.txt")
+
+
 def test_what_several_programs_write_is_replaced(tmp_path):
     with keep_files_of_others(), atomic_write(tmp_path / "tile.png", shared=True) as part:
         part.write_text("ours")
