@@ -8,6 +8,7 @@ from io import StringIO
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from geoaim.aim.summary import summarize_report
@@ -104,6 +105,7 @@ def _draw_places(records: Sequence[Record]) -> str:
     axes.ticklabel_format(useOffset=False)
     axes.grid(color="#ddd")
     text = StringIO()
-    figure.savefig(text, format="svg")
+    with rc_context({"svg.hashsalt": "geoaim"}):  # the same catalogue gives the same page
+        figure.savefig(text, format="svg", metadata={"Date": None})
     svg = text.getvalue()
     return svg[svg.index("<svg") :]

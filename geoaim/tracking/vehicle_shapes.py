@@ -144,7 +144,7 @@ def _is_one(part: Bool[Array, "h w"], resolution: float) -> bool:
     filled = part.sum() * resolution**2 / (length * width)
     if length > MAX_LENGTH_M or width > MAX_WIDTH_M or filled < MIN_FILLED:
         return False
-    return length < MAX_CAR_LENGTH_M or width > MAX_CAR_WIDTH_M or filled > 0.85
+    return length < MAX_CAR_LENGTH_M or width > MAX_CAR_WIDTH_M or bool(filled > 0.85)
 
 
 def _split_touching(part: Bool[Array, "h w"], resolution: float) -> list[Bool[Array, "h w"]]:

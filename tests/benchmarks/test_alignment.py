@@ -58,7 +58,7 @@ def test_a_view_is_placed_from_far_off_and_another_place_is_refused(monkeypatch)
     ]
     assert [row["placed"] for row in rows] == [True, False]
     table = [placing.summarize("it", rows[:1]), placing.summarize("another", rows[1:])]
-    assert table[0]["largest, px"] < 1
+    assert table[0]["largest of corners, px"] < 1
     assert [row["placed"] for row in table] == [1, 0]
     assert table[1]["over 2 px"] == 0
 

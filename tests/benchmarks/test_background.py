@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from benchmarks.background import benchmark as background_results
-from benchmarks.background import crops, hover
+from benchmarks.background import crops, hover, own_boxes
 from benchmarks.background import real as background_real
 from benchmarks.background.drawn_queue import draw_queue
 from benchmarks.background.methods import (
@@ -189,3 +189,11 @@ def test_a_sequence_that_is_refused_is_a_row_of_the_table(monkeypatch, tmp_path)
     monkeypatch.setattr(background_real, "register", refuse)
     row = {"sequence": "place", "registered": "refused: a part moves by itself in 18 of 20 frames"}
     assert list(background_real.measure_real(tmp_path)) == [row]
+
+
+def test_found_boxes_are_left_out_of_a_second_map(tmp_path):
+    clip = draw_queue(standing=0.5, seed=1, count=40)
+    rows = list(own_boxes.measure_clip(clip, own_boxes.CLIPS["drawn"][1], tmp_path))
+    assert [row["boxes"] for row in rows] == ["none", "found"]
+    assert rows[0]["stood"] != rows[1]["stood"]
+    assert max(row["passed"] for row in rows) < 10

@@ -28,6 +28,12 @@ EXIT_CODES = {0, -signal.SIGKILL, -signal.SIGTERM, 128 + signal.SIGTERM}
 COMMAND = "python -m tests.faults.kills -o docs/bench/kills.json"
 LATEST = 1.2  # moment, of an uninterrupted run's time
 OUTCOMES = ("SIGKILL", "SIGTERM", "interrupted", "old", "new", "broken", "leftovers", "errors")
+# begin without files, and end as if they had not been interrupted when they are called again
+RESUMED = ("train", "catalog")
+FOLDERS: dict[str, Callable[[Path], Callable[[Path], None]]] = {
+    "place": lambda inputs: partial(writers.place, inputs),
+    "sample": lambda _: small_sample.write_small_sample,
+}
 
 
 @dataclass(frozen=True)
@@ -54,19 +60,22 @@ def make_case(name: str, folder: Path) -> Case:
         seconds = time.perf_counter() - began
         assert outcome.exit_code == 0, outcome.printed
     old, new = folder / "0", read_files(folder / "1")
-    assert all(new[path] != content for path, content in read_files(old).items())
+    if name not in RESUMED:
+        assert all(new[path] != content for path, content in read_files(old).items())
     return Case(name, write, old, new, outcome.changes, seconds)
 
 
-def make_sample_case(folder: Path) -> Case:
-    """Write a sample where there is none."""
+def make_folder_case(name: str, folder: Path) -> Case:
+    """Write a folder where there is none: by a command of `FOLDERS`."""
+    writers.write_inputs(folder / "inputs", 0)
+    write = FOLDERS[name](folder / "inputs")
     (folder / "old").mkdir()
     began = time.perf_counter()
-    outcome = run_interrupted(small_sample.write_small_sample, folder / "out", None, how="kill")
+    outcome = run_interrupted(write, folder / "out", None, how="kill")
     seconds = time.perf_counter() - began
+    assert outcome.exit_code == 0, outcome.printed
     new = {f"out/{name}": content for name, content in read_files(folder / "out").items()}
-    write = small_sample.write_small_sample
-    return Case("sample", write, folder / "old", new, outcome.changes, seconds)
+    return Case(name, write, folder / "old", new, outcome.changes, seconds)
 
 
 def read_files(folder: Path) -> dict[str, bytes]:
@@ -105,7 +114,7 @@ def count_kills(case: Case, count: int, folder: Path, random: Random) -> Counter
     for number in range(count):
         sent = (signal.SIGKILL, signal.SIGTERM)[number % 2]
         target = folder / str(number) / "out"
-        if case.name == "train":
+        if case.name in RESUMED:
             target.parent.mkdir()
         else:
             shutil.copytree(case.old, target.parent)
@@ -113,7 +122,7 @@ def count_kills(case: Case, count: int, folder: Path, random: Random) -> Counter
         if outcome.exit_code not in EXIT_CODES:
             print(case.name, outcome, flush=True)
             counts["errors"] += 1
-        if case.name == "train":
+        if case.name in RESUMED:
             run_interrupted(case.write, target, None, how="kill")
         counts.update((sent.name, _judge(case, target.parent)))
         counts["interrupted"] += outcome.exit_code != 0
@@ -127,7 +136,7 @@ def _judge(case: Case, folder: Path) -> str:
         left = read_after_next_run(folder)
     except AssertionError:
         return "leftovers"
-    suffix = "" if case.name in ("sample", "train") else writers.WRITERS[case.name][1]
+    suffix = "" if case.name in (*FOLDERS, *RESUMED) else writers.WRITERS[case.name][1]
     for state, files in (("old", read_files(case.old)), ("new", case.new)):
         has_main = suffix and any(name.endswith((suffix, "texture.png")) for name in left)
         if left == files or (has_main and left.items() <= files.items()):
@@ -144,11 +153,12 @@ def main() -> None:
     arguments = parser.parse_args()
     path = arguments.output
     rows = json.loads(path.read_text())["rows"] if path and path.exists() else []
-    for name in (*writers.WRITERS, "sample")[len(rows) :]:
+    for name in (*writers.WRITERS, *FOLDERS)[len(rows) :]:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             (folder / "kills").mkdir()
-            case = make_sample_case(folder) if name == "sample" else make_case(name, folder)
+            make = make_folder_case if name in FOLDERS else make_case
+            case = make(name, folder)
             random = Random(f"{name} {arguments.seed}")
             counts = count_kills(case, arguments.count, folder / "kills", random)
         rows.append({"writer": name, **counts})

@@ -9,7 +9,15 @@ import pytest
 from geoaim.prediction.checkpoints import read_state
 from tests.faults import writers
 from tests.faults.interruption import KILLED, How, Outcome, run_interrupted
-from tests.faults.kills import count_kills, make_case, read_after_next_run, read_files
+from tests.faults.kills import (
+    FOLDERS,
+    RESUMED,
+    count_kills,
+    make_case,
+    make_folder_case,
+    read_after_next_run,
+    read_files,
+)
 
 pytestmark = [
     pytest.mark.slow,
@@ -25,7 +33,7 @@ EXIT_CODES: dict[How, set[int]] = {
 }
 
 
-@pytest.fixture(scope="module", params=[name for name in writers.WRITERS if name != "train"])
+@pytest.fixture(scope="module", params=[name for name in writers.WRITERS if name not in RESUMED])
 def case(request, tmp_path_factory):
     return make_case(request.param, tmp_path_factory.mktemp("case"))
 
@@ -85,6 +93,15 @@ def test_interrupted_training_ends_the_same_when_it_is_called_again(training, tm
         outcome = run_interrupted(case.write, target, None, how="kill")
         assert outcome.exit_code == 0, outcome.printed
         assert read_files(target.parent) == case.new, step
+
+
+@pytest.mark.parametrize("name", ["catalog", "place"])
+def test_killed_folders_are_absent_or_whole_and_a_catalogue_goes_on(name, tmp_path):
+    make = make_folder_case if name in FOLDERS else make_case
+    (tmp_path / "case").mkdir()
+    (tmp_path / "kills").mkdir()
+    counts = count_kills(make(name, tmp_path / "case"), KILLS, tmp_path / "kills", Random(name))
+    assert [counts[name] for name in ("broken", "leftovers", "errors")] == [0, 0, 0], counts
 
 
 def test_stopped_training_says_what_is_kept(training, tmp_path):

@@ -4,10 +4,12 @@ Each takes the folder of its inputs (see `write_inputs`) and the path to write, 
 """
 
 import gc
+import shutil
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,23 +23,30 @@ from matplotlib.figure import Figure
 
 from benchmarks.prediction import tables
 from benchmarks.prediction.__main__ import experiment
-from geoaim import cli
+from geoaim import catalog, cli, pipeline
 from geoaim.aim import quicklook
+from geoaim.aim.aim import AIM
 from geoaim.aim.files import read_aim, write_aim
 from geoaim.base import encode, raster_files
 from geoaim.base.files import write_figure
+from geoaim.base.world import LONLAT
+from geoaim.catalog import building
+from geoaim.catalog import pipeline as cataloguing
+from geoaim.catalog.records import LOOK
 from geoaim.imagery.alignment import before_after
 from geoaim.imagery.alignment import pipeline as alignment
-from geoaim.mapping import pipeline as mapping
-from geoaim.mapping import texture
-from geoaim.mapping.georeference import reference_frame
+from geoaim.mapping import build_map, texture
 from geoaim.mapping.registration import register
 from geoaim.mapping.video import video
 from geoaim.prediction import dataset, pictures, predict, report, training
 from geoaim.prediction.checkpoints import write_model
 from geoaim.prediction.metrics import Metric
 from geoaim.simulation import episodes
+from geoaim.tracking import pipeline as tracking
 from geoaim.tracks.files import write_tracks
+from geoaim.tracks.formats import read_tracks
+from geoaim.web.picking.session import PickedPoint, PickingTask, change_points, open_session
+from tests.aim.test_quicklook import REPORT
 from tests.faults import seeds
 from tests.prediction.tiny import TINY, drive, hill
 
@@ -46,6 +55,7 @@ torch.set_num_threads(1)
 gc.freeze()  # forks share the memory of what is imported
 PRELOADED = torch._dynamo, encode, raster_files, texture, pictures, predict, report, episodes
 STEPS = 2  # of the training
+RECORDINGS = ("east", "west")  # of a catalogue
 
 
 def write_inputs(folder: Path, version: int) -> None:
@@ -61,14 +71,17 @@ def write_inputs(folder: Path, version: int) -> None:
     text = seeds.TABLES["map.osm"].replace("28.29005", f"28.2900{5 + version}")
     (folder / "map.osm").write_text(text)
     (folder / "version").write_text(str(version))
+    for name in RECORDINGS:
+        (folder / f"{name}.mp4").write_bytes(name.encode())
     write_model(training.init_model(TINY, seed=version), folder / "model.pt")
 
 
 def build(inputs: Path, target: Path) -> None:
     with (
-        patch.object(mapping, "build_aim", lambda *_, **__: read_aim(inputs / "aim.tif")),
-        patch.object(video, "open_video"),
-        patch.object(reference_frame, "override_telemetry"),
+        patch.object(build_map, "build_aim", lambda *_, **__: read_aim(inputs / "aim.tif")),
+        patch.object(build_map, "open_video"),
+        patch.object(build_map, "override_telemetry"),
+        patch.object(build_map, "draw_quicklook", lambda _: _draw_small_figure(inputs)),
     ):
         cli.build("video.mp4", target.with_suffix(".tif"))
 
@@ -95,6 +108,60 @@ def register_frames(inputs: Path, target: Path) -> None:
     )
     with patch.object(register, "register", lambda *_, **__: frames):
         cli.register("video.mp4", target)
+
+
+def track(inputs: Path, target: Path) -> None:
+    tracks = read_tracks(inputs / "tracks.csv")
+    with (
+        patch.object(video, "open_video"),
+        patch.object(tracking, "track_video", lambda *_, **__: tracks),
+    ):
+        cli.track("video.mp4", inputs / "aim.tif", target)
+
+
+def pick(inputs: Path, target: Path) -> None:
+    """Replace the points of a page by others."""
+    frame = np.zeros((9, 9, 3), np.uint8)
+    session = open_session(PickingTask(frame, crs=LONLAT, path=target))
+    north = 57.8 + 1e-3 * _read_version(inputs)
+    points = [PickedPoint(k, f"p{k}", (k, 2.0 * k), (28.3 + 1e-4 * k, north)) for k in (1, 2)]
+    change_points(session, points)
+
+
+def place(inputs: Path, target: Path) -> None:
+    aim, tracks = read_aim(inputs / "aim.tif"), read_tracks(inputs / "tracks.csv")
+    with (
+        patch.object(pipeline, "open_video"),
+        patch.object(pipeline, "_check"),
+        patch.object(pipeline, "_build", lambda *_: aim),
+        patch.object(pipeline, "_track", lambda *_: (tracks, "")),
+        patch.object(pipeline, "_film", lambda *_: _[3].write_bytes(b"film")),
+        patch.object(pipeline, "draw_quicklook", lambda _: _draw_small_figure(inputs)),
+    ):
+        pipeline.place_video("video.mp4", target)
+
+
+def catalogue(inputs: Path, target: Path) -> None:
+    """Build two recordings one after the other, at a clock that stands."""
+
+    def copy_map(_: object, path: Path, **__: object) -> AIM:
+        shutil.copyfile(inputs / "aim.tif", path)
+        write_figure(_draw_small_figure(inputs), path.with_name(LOOK))
+        return replace(read_aim(path), report=REPORT)
+
+    clock = SimpleNamespace(perf_counter=float, process_time=float)
+    today = SimpleNamespace(now=lambda zone: datetime(2026, 1, 1, tzinfo=UTC))
+    build = building.build_recording
+    with (
+        patch.object(building, "build_map", copy_map),
+        patch.object(building, "open_video"),
+        patch.object(building, "find_datetime", lambda *_: ("2026-01-01T00:00:00+00:00", "table")),
+        patch.object(building, "time", clock),
+        patch.object(building, "datetime", today),
+        patch.object(cataloguing, "run_tasks", lambda tasks, *_: map(build, tasks)),
+    ):
+        rows = [catalog.Recording(name, str(inputs / f"{name}.mp4")) for name in RECORDINGS]
+        catalog.build_catalog(rows, target.parent)
 
 
 def render(inputs: Path, target: Path) -> None:
@@ -184,6 +251,8 @@ WRITERS: dict[str, tuple[Callable[[Path, Path], None], str]] = {
     "render, picture": (render, ".png"),
     "render, animation": (render, ".gif"),
     "render, video": (render, ".mp4"),
+    "track": (track, ".csv"),
+    "pick": (pick, ".csv"),
     "convert": (convert, ".gpkg"),
     "simulate": (simulate, ".csv"),
     "simulate, Parquet": (simulate, ".parquet"),
@@ -192,4 +261,5 @@ WRITERS: dict[str, tuple[Callable[[Path, Path], None], str]] = {
     "predict, picture": (predict_agents, ".png"),
     "experiment": (repeat_experiment, ".json"),
     "train": (train, ".pt"),
+    "catalog": (catalogue, ".csv"),
 }

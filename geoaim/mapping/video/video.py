@@ -24,6 +24,7 @@ from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.telemetry import Telemetry
 
 BYTES_PER_PIXEL = 16  # memory for a pixel while an image is decoded
+MAX_CHANNELS = 4  # of an image: RGB and opacity
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 Pixels = UInt8[Array, "H W 3"] | UInt8[Array, "H W"]
 INDEX_TOLERANCE = 1e-6  # frames: in floats, 0.3 s at 10 frames a second is frame 2.999...
@@ -245,6 +246,10 @@ def _read_image(path: Path) -> UInt8[Array, "H W 3"]:
     with refuse_damaged(path, VideoError, "an image that can be read"):
         with open_raster_file(path) as header:
             height, width = header.shape
+            if header.count > MAX_CHANNELS:
+                raise ValueError(
+                    f"it has {header.count} bands; a map of geoaim is for geoaim view and align"
+                )
         size, needed = path.stat().st_size, BYTES_PER_PIXEL * height * width
         check_memory(path, needed, size, VideoError, f"{height} x {width} pixels")
         image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)

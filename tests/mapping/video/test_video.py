@@ -13,9 +13,11 @@ import cv2
 import numpy as np
 import pytest
 
+from geoaim.aim.files import write_aim
 from geoaim.base.errors import GeoaimWarning, VideoError
 from geoaim.mapping.video.frames import Frame, YuvEncoding, image_from_planes
 from geoaim.mapping.video.video import open_video
+from tests.aim.test_aim import make_aim
 
 HEIGHT, WIDTH = 48, 64
 RATE = 30
@@ -399,6 +401,13 @@ def test_image_of_another_size_is_named(images: Path) -> None:
     cv2.imwrite(str(images / "frame_5.png"), picture(5, 40, 64))
     with pytest.raises(VideoError, match=r"frame_5\.png: 40 x 64 .* 48 x 64"):
         list(open_video(images))
+
+
+def test_map_as_an_image_is_refused_in_one_line(tmp_path: Path, capfd) -> None:
+    write_aim(make_aim(), tmp_path / "map.tif")
+    with pytest.raises(VideoError, match="7 bands; a map of geoaim"):
+        open_video(tmp_path / "map.tif")
+    assert capfd.readouterr().err == ""
 
 
 def test_exif_orientation_of_images_is_applied(tmp_path: Path) -> None:

@@ -1,0 +1,94 @@
+"""Whether vehicles found without a detector improve the background when they are left out of it.
+
+    python -m benchmarks.background.own_boxes --json docs/bench/own_boxes.json
+
+Clips of 20 s in which queues stand for 60 % of the time, as videos. A map is built without boxes,
+its vehicles are found by what differs from it, and it is built anew with their boxes; and, where
+the truth is known, with all true boxes.
+"""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmarks.background.drawn_queue import draw_queue
+from benchmarks.background.methods import SEEDS, STANDING, measure_background
+from benchmarks.background.queue_clips import QueueClip, paste_queue
+from benchmarks.background.signal_queue import film_signal
+from benchmarks.data import find_data
+from benchmarks.results import JsonFile, Row, print_rows, write_rows
+from geoaim.base.encode import write_video
+from geoaim.base.progress import no_progress
+from geoaim.mapping.background.running_mean import Background
+from geoaim.mapping.georeference.from_telemetry import make_local_georeference
+from geoaim.mapping.pipeline import build_aim
+from geoaim.mapping.video.detections import DetectionSource
+from geoaim.tracking.find_vehicles import find_vehicles
+
+FRAMES, FRAME_RATE = 200, 10.0
+VALIDATION_SEED = 1
+# how a clip is made, and metres per pixel by which its cars are as large as cars
+CLIPS: dict[str, tuple[Callable[..., QueueClip], float]] = {
+    "drawn": (draw_queue, 0.09),
+    "signal": (film_signal, 0.1),
+}
+PLACES = {"minsk_junction": 0.12, "munich_street02": 0.13}  # on which real cars are pasted
+COLUMNS = ("passed", "stood", "wrong %", "wrong marked %", "good marked %")
+
+
+def measure_clip(clip: QueueClip, resolution: float, folder: Path) -> Iterator[Row]:
+    """Yield a row for each kind of boxes that are left out of the background."""
+    height, width = (side // 2 * 2 for side in clip.ground.shape[:2])
+    clip = QueueClip(
+        clip.frames[:, :height, :width],
+        clip.ground[:height, :width],
+        clip.share[:height, :width],
+        boxes=clip.boxes,
+    )
+    path = write_video(clip.frames, folder / "clip.mp4", frame_rate=FRAME_RATE, crf=23)
+    place = make_local_georeference(resolution=resolution, size=(height, width))
+
+    def build(boxes: DetectionSource | None, _: QueueClip) -> Background:
+        aim = build_aim(path, place, detections=boxes, progress=no_progress)
+        found = aim.image[..., :3], aim.coverage, aim.contested
+        return Background(*found, frames_used=len(clip.frames), gains=clip.share[:0, 0])
+
+    found = find_vehicles(path, build_aim(path, place, progress=no_progress), progress=no_progress)
+    kinds: dict[str, DetectionSource | None] = {"none": None, "found": found}
+    if clip.boxes is not None:
+        kinds["true"] = list(clip.boxes)
+    for name, boxes in kinds.items():
+        measured = measure_background(clip, partial(build, boxes))
+        yield {"boxes": name} | {column: measured[column] for column in COLUMNS}
+
+
+def measure_clips(seeds: tuple[int, ...], folder: Path) -> Iterator[Row]:
+    """Measure all clips; those of real cars only where there are real data."""
+    clips = dict(CLIPS)
+    if find_data() is not None:
+        for place, resolution in PLACES.items():
+            clips[f"pasted on {place}"] = partial(paste_queue, place), resolution
+    for name, (make, resolution) in clips.items():
+        for seed in seeds:
+            clip = make(standing=STANDING, seed=seed, count=FRAMES)
+            for row in measure_clip(clip, resolution, folder):
+                yield {"clip": f"{name} {seed}", **row}
+
+
+def main(
+    json: JsonFile = None,
+    validation: Annotated[bool, typer.Option(help="the validation clips")] = False,
+) -> None:
+    """Measure backgrounds without boxes, with found ones and with true ones."""
+    with tempfile.TemporaryDirectory() as folder:
+        seeds = (VALIDATION_SEED,) if validation else SEEDS
+        rows = print_rows(measure_clips(seeds, Path(folder)))
+    write_rows(rows, json, command="python -m benchmarks.background.own_boxes")
+
+
+if __name__ == "__main__":
+    typer.run(main)
