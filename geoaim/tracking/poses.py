@@ -30,7 +30,7 @@ MAX_OBSERVED_SPEED_SIGMA = 0.6  # m/s; a less certain speed is not known yet
 MIN_FORWARD_M = 3.0  # over which it does
 MIN_TRAVEL_M = 1.5  # of a vehicle that does not stand all the time
 ORIENTED_SIGMA_RAD = 0.05  # of the heading of an oriented box
-# by which the middle's error turns a vehicle: its axle averages over a way, and a stop keeps one error
+# by which errors of the middle turn a vehicle: its axle averages them, and a stop keeps one
 MOVING_SHARE, STILL_SHARE = 0.75, 1.7
 
 
