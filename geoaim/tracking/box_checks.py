@@ -22,6 +22,7 @@ MIN_PART = 0.25  # of the area of the other one; a smaller one may be an agent b
 MIN_JUDGED = 20  # boxes that tell sizes
 USUAL_SIZES = (0.7, 1.8)  # of the square root of boxes' areas, over what is typical of their type
 POSSIBLE_SIZES = (0.35, 3.5)  # beyond which boxes are refused
+MIN_REFUSED = 0.1  # share of the boxes; those of a rarer type may be false ones
 EXTENTS_M = (0.15, 30.0)  # of agents of unknown type
 MAX_CHECKED = 3000  # frames whose states are checked
 HELP = (
@@ -118,8 +119,10 @@ def check_sizes(detections: GroundDetections) -> None:
             usual = float(np.sqrt(np.prod(TYPICAL_SIZES[kind])))
             ratio = float(np.median(np.sqrt(extent.prod(axis=1)))) / usual
             if not POSSIBLE_SIZES[0] < ratio < POSSIBLE_SIZES[1]:
-                raise TracksError(f"{text}, which cannot be: {HELP}")
-            if not USUAL_SIZES[0] < ratio < USUAL_SIZES[1] and kind == "car":
+                if len(extent) > MIN_REFUSED * whole.sum():
+                    raise TracksError(f"{text}, which cannot be: {HELP}")
+                warn(f"{text}, which cannot be; they are few, and may be false or of another type")
+            elif not USUAL_SIZES[0] < ratio < USUAL_SIZES[1] and kind == "car":
                 warn(f"{text}, which is unusual: {HELP}")
         elif not EXTENTS_M[0] < middle.max() < EXTENTS_M[1]:
             raise TracksError(f"{text}, which cannot be: {HELP}")

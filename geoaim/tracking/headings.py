@@ -19,7 +19,7 @@ REAR_AXLE_SHARE = 0.3  # distance of the rear axle from the middle of the box, i
 MOVING_SPEED = 0.7  # m/s, above which a vehicle certainly moves
 MIN_MOVE_M = 1.0  # length of a piece of path that tells in which direction a vehicle faces
 MAX_TURN_RAD = 2.1  # a change of direction at a stop by more is a change into or out of reverse
-SETTLING_M = 1.5  # of a path whose chord gives its first direction
+SETTLING_M = 2.5  # of a path whose chord gives its first direction
 SLACK_M = 0.3  # by which the middle may come nearer to the rear axle
 
 
@@ -81,6 +81,7 @@ def compute_headings(
         return None
     ends = [_find_end_directions(path[start:stop]) for start, stop in pieces]
     signs = _choose_signs(path, pieces, ends, facing)
+    path = _hold_still(path, pieces)
     headings = np.empty(len(path))
     distance = REAR_AXLE_SHARE * length
     current: float | None = None
@@ -136,6 +137,18 @@ def _find_moving_pieces(
         for start, stop in pieces
         if np.hypot(*np.ptp(path[start:stop], axis=0)) >= MIN_MOVE_M
     ]
+
+
+def _hold_still(path: Float[Array, "T 2"], pieces: list[tuple[int, int]]) -> Float[Array, "T 2"]:
+    """Hold a path between its moving pieces, so that the noise of what stands turns nothing."""
+    still = path.copy()
+    ends = [0, *(edge for piece in pieces for edge in piece), len(path)]
+    for stop, start in zip(ends[::2], ends[1::2], strict=True):
+        before, after = max(stop - 1, 0), min(start, len(path) - 1)
+        if np.hypot(*np.ptp(path[before : after + 1], axis=0)) < MIN_MOVE_M:
+            half = stop if stop == 0 else start if start == len(path) else (stop + start) // 2
+            still[stop:half], still[half:start] = path[before], path[after]
+    return still
 
 
 def _find_end_directions(path: Float[Array, "T 2"]) -> tuple[float, float]:

@@ -3,12 +3,17 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from geoaim.base.geometry import wrap_angle
 from geoaim.tracking.ground_detections import GroundDetections
-from geoaim.tracking.headings import REAR_AXLE_SHARE, compute_headings, observe_headings
+from geoaim.tracking.headings import (
+    MOVING_SPEED,
+    REAR_AXLE_SHARE,
+    compute_headings,
+    observe_headings,
+)
 from geoaim.tracking.kalman import TrackMotion, TrackRows
 from geoaim.tracking.sizes import AgentTraits, get_typical_size
 from geoaim.tracking.standing import (
@@ -25,6 +30,8 @@ MAX_OBSERVED_SPEED_SIGMA = 0.6  # m/s; a less certain speed is not known yet
 MIN_FORWARD_M = 3.0  # over which it does
 MIN_TRAVEL_M = 1.5  # of a vehicle that does not stand all the time
 ORIENTED_SIGMA_RAD = 0.05  # of the heading of an oriented box
+# by which errors of the middle turn a vehicle: its axle averages them, and a stop keeps one
+MOVING_SHARE, STILL_SHARE = 0.75, 1.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +71,7 @@ def compute_poses(
         seen = rows.detection[part]
         standing = find_standing(detections, seen[seen >= 0], agents.types[agent], lanes)
         length = float(agents.sizes[agent, 0])
-        found = _compute_vehicle_headings(motion, length, standing)
+        found = _compute_vehicle_headings(motion, length, standing, seen >= 0)
         heading[part], sigma[part] = found
     velocity = smoothed.mean[:, 1]
     speed = np.where(
@@ -122,15 +129,16 @@ def _compute_directions(motion: TrackMotion) -> tuple[Float[Array, "T"], Float[A
 
 
 def _compute_vehicle_headings(
-    motion: TrackMotion, length: float, standing: tuple[float, float]
+    motion: TrackMotion, length: float, standing: tuple[float, float], seen: Bool[Array, "T"]
 ) -> tuple[Float[Array, "T"], Float[Array, "T"]]:
     """Headings of a vehicle and their standard deviations, rad.
 
     `standing` has both for the vehicle before it moves. A vehicle that drives faster than
-    `MAX_REVERSE_SPEED` drives forward; where a slower one moves, its sense is that of `standing`.
+    `MAX_REVERSE_SPEED` where it is seen drives forward; where a slower one moves, its sense is that
+    of `standing`.
     """
     path, velocity = motion.mean[:, 0], motion.mean[:, 1]
-    fast = path[np.hypot(*velocity.T) > MAX_REVERSE_SPEED]
+    fast = path[seen & (np.hypot(*velocity.T) > MAX_REVERSE_SPEED)]
     forward = len(fast) > 0 and np.hypot(*np.ptp(fast, axis=0)) > MIN_FORWARD_M
     known = standing[1] < LINE_SIGMA_RAD
     headings = None
@@ -141,9 +149,26 @@ def _compute_vehicle_headings(
     if forward and (velocity[:, 0] @ np.cos(headings) + velocity[:, 1] @ np.sin(headings)) < 0:
         turned = compute_headings(path, velocity, length, None)  # a lane of the other way
         headings = headings if turned is None else turned
-    sigma = np.sqrt(motion.covariance[:, 0, 0]) / (REAR_AXLE_SHARE * length)
+    sigma = find_heading_errors(np.sqrt(motion.covariance[:, 0, 0]), np.hypot(*velocity.T), length)
     least = 0.0 if forward or known else LINE_SIGMA_RAD
     return wrap_angle(headings), np.clip(sigma, least, UNKNOWN_SIGMA_RAD)
+
+
+def find_heading_errors(
+    error: Float[Array, "n"], speed: Float[Array, "n"], length: float | Float[Array, "n"]
+) -> Float[Array, "n"]:
+    """Find by how much errors of a vehicle's middle turn it.
+
+    Args:
+        error: standard deviations of the middle across its way, m.
+        speed: m/s.
+        length: of the vehicle, m.
+
+    Returns:
+        Standard deviations of its heading, rad.
+    """
+    share = np.where(np.abs(speed) > MOVING_SPEED, MOVING_SHARE, STILL_SHARE)
+    return share * error / np.maximum(REAR_AXLE_SHARE * length, 0.1)
 
 
 def find_standing(

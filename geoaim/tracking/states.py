@@ -10,11 +10,16 @@ from geoaim.base.world import World
 from geoaim.tracking.association import CUT_SIGMA_M, MIN_HITS, Tracklets
 from geoaim.tracking.cut_boxes import complete_cut_boxes
 from geoaim.tracking.ground_detections import GroundDetections
-from geoaim.tracking.headings import REAR_AXLE_SHARE
 from geoaim.tracking.joining import find_false_ends, join_tracks
 from geoaim.tracking.kalman import TrackMotion, TrackRows, filter_tracks, make_rows, smooth_tracks
 from geoaim.tracking.noise import estimate_lasting_noise, estimate_noise
-from geoaim.tracking.poses import Poses, compute_poses, find_standing, observe_states
+from geoaim.tracking.poses import (
+    Poses,
+    compute_poses,
+    find_heading_errors,
+    find_standing,
+    observe_states,
+)
 from geoaim.tracking.sizes import (
     EFFECTIVE_BOXES,
     SIZE_SIGMA,
@@ -233,6 +238,6 @@ def _add_lasting(
     error = np.hypot(*errors)[last]
     poses.uncertainty[:, 0] = np.hypot(poses.uncertainty[:, 0], error)
     known = poses.uncertainty[:, 1] < LINE_SIGMA_RAD
-    axle = np.maximum(REAR_AXLE_SHARE * agents.sizes[:, 0], 0.1)
-    drift = LASTING_TURN * error[known] / axle[rows.agent[known]]
+    length, speed = agents.sizes[rows.agent[known], 0], poses.states[known, 3]
+    drift = find_heading_errors(LASTING_TURN * error[known], speed, length)
     poses.uncertainty[known, 1] = np.minimum(np.hypot(poses.uncertainty[known, 1], drift), np.pi)

@@ -68,6 +68,20 @@ def test_sizes_that_cannot_be_are_refused(cars, factor):
         track_boxes(frames, scaled, cars.times, cars.world, SIZE)
 
 
+def test_few_false_boxes_of_a_rare_type_do_not_refuse_the_video(cars):
+    frames, matrices = detect(cars)
+    person = np.array([[300.0, 300.0, 312.0, 312.0]])
+    mixed = [
+        DetectedBoxes(np.concatenate([f.boxes, person]), types=(*f.types, "truck"))
+        if number % 4 == 0
+        else f
+        for number, f in enumerate(frames)
+    ]
+    with pytest.warns(GeoaimWarning, match=r"boxes of truck are .*, which cannot be; they are few"):
+        found = track_boxes(mixed, matrices, cars.times, cars.world, SIZE)
+    assert len(found.ids) == len(cars.ids)
+
+
 def test_half_the_size_is_said(cars):
     frames, matrices = detect(cars)
     with pytest.warns(GeoaimWarning, match="which is unusual"):

@@ -36,6 +36,23 @@ def test_a_standing_vehicle_keeps_its_heading_in_noise():
     assert np.degrees(np.abs(headings - 0.7)).max() < 5
 
 
+def test_noise_does_not_turn_what_stands_before_or_between_its_ways():
+    generator = np.random.default_rng(0)
+    start = drive_straight(0, 0, 0.7, 5.0, steps=50)
+    again = drive_straight(*start[-1, :2], 0.7, 5.0, steps=50)
+    standing = [np.repeat(row[None], 200, axis=0) for row in (start[0], again[0])]
+    states = np.concatenate([standing[0], start, standing[1], again])
+    noise = np.zeros((len(states), 2))
+    for step in range(1, len(noise)):  # as errors of boxes that last
+        noise[step] = 0.98 * noise[step - 1] + 0.02 * generator.standard_normal(2)
+    states[:200, 3] = states[250:450, 3] = 0
+    noise[states[:, 3] > 0] = 0
+    velocity = states[:, 3:] * [np.cos(0.7), np.sin(0.7)]
+    headings = compute_headings(states[:, :2] + noise, velocity, CAR[0])
+    assert np.degrees(np.ptp(headings[:200])) < 0.1
+    assert measure_error(headings, states).max() < 5
+
+
 def test_a_vehicle_that_turns_back_drives_in_reverse():
     forward = drive_straight(0, 0, 0.0, 4.0, steps=75)
     rest = np.repeat(forward[-1:], 25, axis=0)

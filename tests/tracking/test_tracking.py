@@ -83,8 +83,16 @@ def test_states_that_bridge_misses_are_marked_and_less_certain(junction):
     assert np.hypot(*error.T).max() < 0.4
 
 
-def test_observed_states_are_the_same_to_the_digit_for_a_part_of_the_video(junction):
-    errors = DetectorErrors(misses=0.1, false=0.1, lost_s=1.0)
+@pytest.mark.parametrize(
+    "errors",
+    [
+        DetectorErrors(misses=0.1, false=0.1, lost_s=1.0),
+        DetectorErrors(noise_px=1.0, lasting_px=3.0),
+        DetectorErrors(misses=0.15, burst=4.0, false=0.15, noise_px=3.0),
+    ],
+    ids=["lost", "lasting", "bursts"],
+)
+def test_observed_states_are_the_same_to_the_digit_for_a_part_of_the_video(junction, errors):
     frames, matrices = detect(junction, errors)
     rest = junction.times, junction.world, SIZE
     whole = track_boxes(frames, matrices, *rest)
