@@ -33,6 +33,7 @@ from geoaim.base.world import LONLAT
 from geoaim.catalog import building
 from geoaim.catalog import pipeline as cataloguing
 from geoaim.catalog.records import LOOK
+from geoaim.cli.console import report_errors
 from geoaim.imagery.alignment import before_after
 from geoaim.imagery.alignment import pipeline as alignment
 from geoaim.mapping import build_map, texture
@@ -125,7 +126,8 @@ def pick(inputs: Path, target: Path) -> None:
     session = open_session(PickingTask(frame, crs=LONLAT, path=target))
     north = 57.8 + 1e-3 * _read_version(inputs)
     points = [PickedPoint(k, f"p{k}", (k, 2.0 * k), (28.3 + 1e-4 * k, north)) for k in (1, 2)]
-    change_points(session, points)
+    with report_errors():
+        change_points(session, points)
 
 
 def place(inputs: Path, target: Path) -> None:
