@@ -43,11 +43,11 @@ SUFFICIENT_INLIER_SHARE = 0.5  # the search is not widened at this share or more
 UNDOUBTED_INLIER_SHARE = 0.7  # a placement with a smaller share is always compared with others
 MAX_UNCERTAINTY_PX = 10.0  # over the image, beyond which a frame is rejected
 # chosen on the validation part of `benchmarks.registration.stability`
-UNCERTAINTY_INFLATION_PX = 0.12  # spread of the fit that is widened twofold
-MAX_INFLATION = 6.0  # factor by which the spread is widened at most
+UNCERTAINTY_INFLATION_PX = 0.06  # spread of the fit that is widened twofold
+MAX_INFLATION = 10.0  # factor by which the spread is widened at most
 INTERPOLATION_ERROR_PX = 0.012  # lower bound of the uncertainty
 BASE_RESIDUAL_PX = 0.08  # residual of plain video, which widens nothing
-RESIDUAL_INFLATION_PX = 0.3  # residual that widens the uncertainty by nearly as much
+RESIDUAL_INFLATION_PX = 0.13  # residual that widens by as much, if all neighbours share it
 MAX_MISLED_RATIO = 2.5  # largest widening by residuals, over the residual
 FROZEN_RATIO = 3.0  # the same where compression has frozen a part of the image
 MISFIT_QUANTILE = 0.8  # of the residuals, so that a fifth of the patches may lie on vehicles
@@ -247,30 +247,35 @@ def _check_alignment(
     return FrameRegistration(matrix, reason, quality, share, total)
 
 
-def _measure_misfit(alignment: PatchAlignment, *, rests: bool) -> tuple[float, bool]:
+def _measure_misfit(alignment: PatchAlignment, *, rests: bool) -> tuple[float, float, bool]:
     """Residual of the patches that match, px, NaN without any; and whether a part is frozen.
 
-    Strong compression repeats blocks of an earlier frame: they fit better than an image can. Where
-    the placement `rests`, the small part that moves may be the ground.
+    Between them is the share of the residuals that neighbours in a row of the grid have in common:
+    much where a part of the image moves, little where noise displaces each patch by itself. Strong
+    compression repeats blocks of an earlier frame: they fit better than an image can. Where the
+    placement `rests`, the small part that moves may be the ground.
     """
+    vectors = alignment.motion.residuals
     matches = alignment.correlation[alignment.fitted] > MIN_INLIER_CORRELATION
-    residuals = np.hypot(*alignment.motion.residuals.T)
-    residuals = residuals[matches & (residuals < MAX_MISFIT_PX)]
-    if not residuals.size:
-        return np.nan, False
+    vectors = vectors[matches & (np.hypot(*vectors.T) < MAX_MISFIT_PX)]
+    if not vectors.size:
+        return np.nan, 1.0, False
+    residuals = np.hypot(*vectors.T)
     share = MISFIT_QUANTILE_AT_REST if rests else MISFIT_QUANTILE
-    frozen, misfit = np.quantile(residuals, [FROZEN_QUANTILE, share])
-    return float(misfit), bool(frozen < INTERPOLATION_ERROR_PX)
+    frozen, common, misfit = np.quantile(residuals, [FROZEN_QUANTILE, MISFIT_QUANTILE, share])
+    cut = vectors * np.minimum(common / np.maximum(residuals, 1e-9), 1)[:, None]
+    shared = float((cut[1:] * cut[:-1]).sum() / max((cut**2).sum(), 1e-9))
+    return float(misfit), max(shared, 0.0), bool(frozen < INTERPOLATION_ERROR_PX)
 
 
-def _widen_uncertainty(spread: float, misfit: float, is_frozen: bool) -> float:
+def _widen_uncertainty(spread: float, misfit: float, shared: float, is_frozen: bool) -> float:
     """Widen the spread of the fit where the parts of the image disagree, all in px.
 
     What displaces some parts (compression, waves, a rolling shutter) also misleads the others.
     """
     inflation = min(1 + (spread / UNCERTAINTY_INFLATION_PX) ** 2, MAX_INFLATION)
     excess = np.maximum(misfit**2 - BASE_RESIDUAL_PX**2, 0.0)
-    misled = np.minimum(excess / RESIDUAL_INFLATION_PX, MAX_MISLED_RATIO * misfit)
+    misled = np.minimum(shared * excess / RESIDUAL_INFLATION_PX, MAX_MISLED_RATIO * misfit)
     if is_frozen:
         misled = FROZEN_RATIO * np.sqrt(excess)
     return float(np.linalg.norm([spread * inflation, misled, INTERPOLATION_ERROR_PX]))

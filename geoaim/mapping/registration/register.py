@@ -57,6 +57,7 @@ COMPARE_SHIFT_SHARE = 1 / 240  # shift, in image widths, after which it is compa
 PROBE_FRAMES = 5  # number of frames from which the reference and the model are chosen
 PROBE_FEATURES = 800  # features of each probe that are matched between probes
 TIME_TOLERANCE_S = 1e-3  # two frames are not nearer
+MIN_OF_USUAL = 0.75  # of the median uncertainty of a video's frames, which none states less than
 MIN_LINKED_SHARE = 0.5  # of the probes that must match the reference, unless it is the first frame
 
 Row = tuple[int, float, FrameRegistration]  # index, time (s) and registration of a frame
@@ -194,11 +195,15 @@ def collect_registration(rows: Iterable[Row], reference: Reference) -> Registrat
             f"{reference.time:.2f} s (most often: {common}); pass another reference_time, or check "
             "that the camera hovers"
         )
-    names = ("reference_from_frame", "quality", "inlier_share", "uncertainty")
+    names = ("reference_from_frame", "quality", "inlier_share")
+    uncertainty = np.array([frame.uncertainty for frame in frames])
+    usual = float(np.median(uncertainty[[not reason for reason in reasons]]))
     return Registration(
         index=np.array(index),
         time=np.array(time, float),
         reason=reasons,
+        # what misleads the others may mislead a frame that does not show it
+        uncertainty=np.maximum(uncertainty, MIN_OF_USUAL * usual),
         reference=reference,
         **{name: np.array([getattr(frame, name) for frame in frames]) for name in names},
     )

@@ -8,7 +8,12 @@ from geoaim.base.errors import RegistrationError
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.registration.features import detect_features, match_features
 from geoaim.mapping.registration.patches import align_patches, make_template, predict_uncertainty
-from geoaim.mapping.registration.register import choose_reference, register, register_frames
+from geoaim.mapping.registration.register import (
+    choose_reference,
+    collect_registration,
+    register,
+    register_frames,
+)
 from geoaim.mapping.video.video import open_video
 from tests.conftest import textured
 
@@ -43,6 +48,15 @@ def test_stated_uncertainty_is_of_the_size_of_the_error(registration, clip):
     others = errors > 1e-6
     ratio = np.median(errors[others]) / np.median(registration.uncertainty[others])
     assert 0.3 < ratio < 2
+
+
+def test_no_frame_states_much_less_than_the_others(frames):
+    video = open_video(frames)
+    reference = choose_reference(video)
+    done = register_frames(video, reference)
+    rows = [(f.index, f.time, replace(placed, uncertainty=1.0)) for f, placed in done]
+    rows[1] = (*rows[1][:2], replace(rows[1][2], uncertainty=0.02))
+    assert collect_registration(rows, reference).uncertainty[1] == pytest.approx(0.75)
 
 
 def test_table_has_a_row_a_frame_and_its_matrix(registration, frames):
