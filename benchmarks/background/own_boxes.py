@@ -9,6 +9,7 @@ the truth is known, with all true boxes.
 
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -21,12 +22,12 @@ from benchmarks.background.queue_clips import QueueClip, paste_queue
 from benchmarks.background.signal_queue import film_signal
 from benchmarks.data import find_data
 from benchmarks.results import JsonFile, Row, print_rows, write_rows
+from geoaim.aim.aim import AIM
 from geoaim.base.encode import write_video
 from geoaim.base.progress import no_progress
 from geoaim.mapping.background.running_mean import Background
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
-from geoaim.mapping.video.detections import DetectionSource
 from geoaim.tracking.find_vehicles import find_vehicles
 
 FRAMES, FRAME_RATE = 200, 10.0
@@ -43,27 +44,29 @@ COLUMNS = ("passed", "stood", "wrong %", "wrong marked %", "good marked %")
 def measure_clip(clip: QueueClip, resolution: float, folder: Path) -> Iterator[Row]:
     """Yield a row for each kind of boxes that are left out of the background."""
     height, width = (side // 2 * 2 for side in clip.ground.shape[:2])
-    clip = QueueClip(
-        clip.frames[:, :height, :width],
-        clip.ground[:height, :width],
-        clip.share[:height, :width],
-        boxes=clip.boxes,
+    clip = replace(
+        clip,
+        frames=clip.frames[:, :height, :width],
+        ground=clip.ground[:height, :width],
+        share=clip.share[:height, :width],
     )
     path = write_video(clip.frames, folder / "clip.mp4", frame_rate=FRAME_RATE, crf=23)
     place = make_local_georeference(resolution=resolution, size=(height, width))
 
-    def build(boxes: DetectionSource | None, _: QueueClip) -> Background:
-        aim = build_aim(path, place, detections=boxes, progress=no_progress)
-        found = aim.image[..., :3], aim.coverage, aim.contested
-        return Background(*found, frames_used=len(clip.frames), gains=clip.share[:0, 0])
-
-    found = find_vehicles(path, build_aim(path, place, progress=no_progress), progress=no_progress)
-    kinds: dict[str, DetectionSource | None] = {"none": None, "found": found}
+    build = partial(build_aim, path, place, progress=no_progress)
+    first = build()
+    found = find_vehicles(path, first, progress=no_progress)
+    maps = {"none": first, "found": build(detections=found)}
     if clip.boxes is not None:
-        kinds["true"] = list(clip.boxes)
-    for name, boxes in kinds.items():
-        measured = measure_background(clip, partial(build, boxes))
+        maps["true"] = build(detections=list(clip.boxes))
+    for name, aim in maps.items():
+        measured = measure_background(clip, partial(_take_ground, aim))
         yield {"boxes": name} | {column: measured[column] for column in COLUMNS}
+
+
+def _take_ground(aim: AIM, clip: QueueClip) -> Background:
+    found = aim.image[..., :3], aim.coverage, aim.contested
+    return Background(*found, frames_used=len(clip.frames), gains=clip.share[:0, 0])
 
 
 def measure_clips(seeds: tuple[int, ...], folder: Path) -> Iterator[Row]:

@@ -73,11 +73,13 @@ def measure_hard(seed: int) -> Iterator[dict[str, Any]]:
     trackers: dict[str, Callable[..., Any]] = {"geoaim": track_boxes, **list_peers()}
     for name, (errors, stride) in CONDITIONS.items():
         for case in make_cases(seed, errors):
-            flat = {WITHOUT_HEIGHT: lambda *given: track_boxes(*given)}
-            for method, tracker in (trackers | (flat if case.flying_height else {})).items():
+            runs = [(method, tracker, case) for method, tracker in trackers.items()]
+            if case.flying_height is not None:
+                runs.append((WITHOUT_HEIGHT, track_boxes, replace(case, flying_height=None)))
+            for method, tracker, filmed in runs:
                 given = {"method": method, "boxes": name}
                 try:
-                    yield given | next(iter(measure_case(take_frames(case, stride), tracker)))
+                    yield given | next(iter(measure_case(take_frames(filmed, stride), tracker)))
                 except TracksError:  # it finds nothing
                     nothing = {"IDF1": 0.0, "IDF1 near": 0.0, "HOTA": 0.0}
                     yield given | {"video": case.name, "agents of": "vehicle"} | nothing

@@ -9,15 +9,7 @@ import pytest
 from geoaim.prediction.checkpoints import read_state
 from tests.faults import writers
 from tests.faults.interruption import KILLED, How, Outcome, run_interrupted
-from tests.faults.kills import (
-    FOLDERS,
-    RESUMED,
-    count_kills,
-    make_case,
-    make_folder_case,
-    read_after_next_run,
-    read_files,
-)
+from tests.faults.kills import RESUMED, count_kills, make_case, read_after_next_run, read_files
 
 pytestmark = [
     pytest.mark.slow,
@@ -97,10 +89,11 @@ def test_interrupted_training_ends_the_same_when_it_is_called_again(training, tm
 
 @pytest.mark.parametrize("name", ["catalog", "place"])
 def test_killed_folders_are_absent_or_whole_and_a_catalogue_goes_on(name, tmp_path):
-    make = make_folder_case if name in FOLDERS else make_case
     (tmp_path / "case").mkdir()
     (tmp_path / "kills").mkdir()
-    counts = count_kills(make(name, tmp_path / "case"), KILLS, tmp_path / "kills", Random(name))
+    counts = count_kills(
+        make_case(name, tmp_path / "case"), KILLS, tmp_path / "kills", Random(name)
+    )
     assert [counts[name] for name in ("broken", "leftovers", "errors")] == [0, 0, 0], counts
 
 

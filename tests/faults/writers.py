@@ -137,7 +137,7 @@ def place(inputs: Path, target: Path) -> None:
         patch.object(pipeline, "_check"),
         patch.object(pipeline, "_build", lambda *_: aim),
         patch.object(pipeline, "_track", lambda *_: (tracks, "")),
-        patch.object(pipeline, "_film", lambda *_: _[3].write_bytes(b"film")),
+        patch.object(pipeline, "_film", lambda *given: given[3].write_bytes(b"film")),
         patch.object(pipeline, "draw_quicklook", lambda _: _draw_small_figure(inputs)),
     ):
         pipeline.place_video("video.mp4", target)
