@@ -80,6 +80,7 @@ class FrameRegistration:
 class Keyframe:
     """A frame to which others are registered."""
 
+    grey: UInt8[Array, "H W"]
     coarse: PatchTemplate  # its patches on a coarse pyramid level
     fine: PatchTemplate  # its patches at full size
     features: Features  # its ORB features
@@ -129,14 +130,15 @@ def register_frame(
     registration, alignment = best
     if alignment is None or not registration.valid:
         return best
-    is_doubtful = registration.inlier_share < UNDOUBTED_INLIER_SHARE or chosen.overview.repeats
+    repeats = chosen.overview.period is not None
+    is_doubtful = registration.inlier_share < UNDOUBTED_INLIER_SHARE or repeats
     before = np.linalg.inv(chosen.reference_from_keyframe) @ prior
     rests = is_at_rest(alignment, chosen.fine, before)
     if not (compare or is_doubtful or rests):
         return best
     try:
         alignment, other = choose_placement(
-            grey, chosen.fine, chosen.overview, alignment, rests=rests
+            chosen.grey, grey, chosen.fine, chosen.overview, alignment, rests=rests
         )
     except AmbiguousPlacementError as error:
         return reject(str(error)), alignment
@@ -169,6 +171,7 @@ def make_keyframe(
     height, width = frame.grey.shape
     factor = max(min(round(width / COARSE_WIDTH_PX), height // (4 * PATCH_SIDE_PX)), 1)
     return Keyframe(
+        frame.grey,
         make_template(frame.grey, factor=factor, exclude=exclude),
         make_template(frame.grey, exclude=exclude),
         features,

@@ -50,6 +50,10 @@ DETAIL_SIDE_PX = 9  # side of the window whose mean is subtracted, pixels of the
 MIN_NOISE_VARIANCE = 0.05  # variance; that of rounding to grey levels
 # a texture repeats if a greater share of an image is alike at another place of it
 REPEATING_SHARE = 0.6
+# by how much patches, or blocks of the image, must fit better than a period away, standard errors
+MIN_PATCH_GAIN = 3.0
+MIN_BLOCK_GAIN = 4.5  # more, since neighbouring blocks err together
+BLOCK_SIDE_PX = 32
 
 
 class Overview(NamedTuple):
@@ -59,7 +63,7 @@ class Overview(NamedTuple):
     spectrum: Complex[Array, "h k"]  # the Fourier transform of `detail`
     phases: Complex[Array, "h k"]  # the same, whitened and low-pass filtered
     power: Float[Array, "h k"]  # power of `spectrum`, relative to the energy of `detail`
-    repeats: bool  # whether the texture repeats
+    period: Float[Array, "2"] | None  # where the texture repeats, pixels (u, v) of the full image
     scale: float  # pixels of the small image per pixel of the full image
 
 
@@ -84,6 +88,7 @@ class AmbiguousPlacementError(GeoaimError):
 
 
 def choose_placement(
+    reference: UInt8[Array, "H W"],
     grey: UInt8[Array, "H W"],
     template: PatchTemplate,
     overview: Overview,
@@ -125,8 +130,59 @@ def choose_placement(
         strongest = MAX_NEAR_FIT_RATIO
     if compared.other_peak_strength > strongest:
         raise AmbiguousPlacementError("texture repeats: another placement fits as well")
-    moves = compared.competing_fit_ratio > MIN_MOVING_SHARE and not overview.repeats
+    if overview.period is not None:
+        _check_periods(reference, grey, template, overview.period, alignment)
+    moves = compared.competing_fit_ratio > MIN_MOVING_SHARE and overview.period is None
     return alignment, compared.moving if moves else None
+
+
+def _check_periods(
+    reference: UInt8[Array, "H W"],
+    grey: UInt8[Array, "H W"],
+    template: PatchTemplate,
+    period: Float[Array, "2"],
+    alignment: PatchAlignment,
+) -> None:
+    """Raise unless the image fits better at a placement than a period away on either side.
+
+    Where nothing but the repeating texture is seen, it fits as well there. Patches see dirt on the
+    texture, blocks of the whole image what lies beside it; either suffices.
+    """
+    for shift in (period, -period):
+        start = translation(*shift) @ alignment.matrix
+        other = align_patches(template, grey, start, alignment.motion.model)
+        if other is None:
+            continue
+        both = alignment.in_view & other.in_view
+        patches = (alignment.correlation - other.correlation)[both]
+        blocks = _compare_blocks(reference, grey, alignment.matrix, other.matrix)
+        if not (_is_gain(patches, MIN_PATCH_GAIN) or _is_gain(blocks, MIN_BLOCK_GAIN)):
+            raise AmbiguousPlacementError("texture repeats: a period away it fits as well")
+
+
+def _is_gain(gain: Float[Array, "..."], least: float) -> bool:
+    """Whether the mean exceeds so many standard errors of itself; also without any value."""
+    return gain.size == 0 or bool(gain.mean() > least * gain.std() / np.sqrt(gain.size))
+
+
+def _compare_blocks(
+    reference: UInt8[Array, "H W"],
+    grey: UInt8[Array, "H W"],
+    one: Float[Array, "3 3"],
+    other: Float[Array, "3 3"],
+) -> Float[Array, "h w"]:
+    """By how much the detail of each block differs more at the other placement, grey levels."""
+    height, width = grey.shape
+    warps = [to_opencv(matrix) for matrix in (one, other)]
+    seen = [cv2.warpPerspective(np.ones_like(grey), warp, (width, height)) > 0 for warp in warps]
+    errors = []
+    for warp in warps:
+        moved = cv2.warpPerspective(grey, warp, (width, height)).astype(np.float32)
+        difference = np.where(seen[0] & seen[1], moved - reference, 0)
+        detail = difference - cv2.blur(difference, (BLOCK_SIDE_PX, BLOCK_SIDE_PX))
+        blocks = width // BLOCK_SIDE_PX, height // BLOCK_SIDE_PX
+        errors.append(np.sqrt(cv2.resize(detail**2, blocks, interpolation=cv2.INTER_AREA)))
+    return errors[1] - errors[0]
 
 
 def is_at_rest(
@@ -170,8 +226,9 @@ def make_overview(
     smoothing = np.exp(-2 * (np.pi * SMOOTHING_PX) ** 2 * (rows**2 + columns**2))
     phases = (_whiten(spectrum) * smoothing).astype(np.complex64)
     power = np.abs(spectrum) ** 2 / max(float((detail**2).sum()), 1e-9)
-    repeats = _find_peak(scipy.fft.irfft2(power, s=(height, width)))[0] > REPEATING_SHARE
-    return Overview(detail, spectrum, phases, power, repeats, scale)
+    likeness, *shift = _find_peak(scipy.fft.irfft2(power, s=(height, width)))
+    period = np.array(shift) / scale if likeness > REPEATING_SHARE else None
+    return Overview(detail, spectrum, phases, power, period, scale)
 
 
 def compare_placements(

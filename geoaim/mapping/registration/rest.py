@@ -4,7 +4,8 @@ No motion is estimated: the transform is the identity. A frame must show that it
 patches that have not moved; a moving mass does not count against it, however large.
 
 An overlay over a moving scene is at rest, too. But what passes covers the ground of a camera that
-stands, and an overlay it never does.
+stands, which is seen again, and an overlay it never does. Blocks that compression has frozen are
+not seen again either, once they were renewed.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -37,7 +38,7 @@ MIN_EVIDENCE_FRAMES = 8
 MIN_STEADY_RATIO = 0.25  # fewest patches at rest in a frame over the most: frozen blocks move on
 MIN_REST_SHARE = 0.4  # of a full grid of patches that rest in half of the frames
 MAX_COVERED_CORRELATION = 0.4  # of a patch over which something else lies
-MIN_COVERED_SHARE = 0.1  # of the resting patches, covered in two frames or more
+MIN_COVERED_SHARE = 0.1  # of the resting patches, covered in two frames or more between rests
 
 
 def may_stand(frames: Sequence[Frame], keyframe: Keyframe) -> bool:
@@ -57,7 +58,10 @@ def stands_still(frames: Sequence[Frame]) -> bool:
     rests = at_rest.mean(axis=0) >= 0.5
     if rests.sum() < MIN_REST_SHARE * PATCH_COUNT:
         return False
-    return bool((covered[:, rests].sum(axis=0) >= 2).mean() >= MIN_COVERED_SHARE)
+    before = np.maximum.accumulate(at_rest)
+    after = np.maximum.accumulate(at_rest[::-1])[::-1]
+    passed = (covered & before & after)[:, rests].sum(axis=0)
+    return bool((passed >= 2).mean() >= MIN_COVERED_SHARE)
 
 
 def _classify_patches(

@@ -98,3 +98,13 @@ def test_few_frames_do_not_tell_that_a_camera_stands():
 
 def test_a_given_model_is_kept():
     assert register(film_road(), model="translation").reference.model == "translation"
+
+
+def test_frozen_blocks_that_compression_renews_in_turn_are_no_ground():
+    image = textured(np.random.default_rng(1), SIZE[0], SIZE[1] + 60)
+    frozen, frames = image[:, : SIZE[1]].copy(), []
+    for k in range(12):
+        rows = slice(160, 240) if k in (1, 2) else slice(20 * (k - 1), 20 * k)
+        frozen[rows] = image[rows, 5 * k : 5 * k + SIZE[1]]
+        frames.append(frozen.copy())
+    assert not stands_still(list_frames(frames))
