@@ -1,4 +1,4 @@
-"""Queues that stand for 60 and for 85 % of a clip: without boxes, with all, with one in ten missing.
+"""Queues that stand for 60 and 85 % of a clip: without boxes, with all, with one in ten missing.
 
     python -m benchmarks.background.long_queues --json docs/bench/long_queues.json
 
@@ -25,7 +25,7 @@ from benchmarks.results import JsonFile, Row, print_rows, write_rows
 
 FRAMES = 64  # as many as a build takes
 STANDING = (0.6, 0.85)  # shares of the time
-VALIDATION_SEEDS, SEEDS = (0, 1), (20, 21, 22)
+VALIDATION_SEEDS, SEEDS = (0, 1), (20, 21)
 VALIDATION_PLACES = ("minsk_junction", "munich_mos074")
 PLACES = ("minsk_street", "munich_street02")  # on which real cars are pasted
 NAMES = {
@@ -61,7 +61,7 @@ def measure_clips(validation: bool) -> Iterator[Row]:
             clips = (make(standing=standing, seed=seed, count=FRAMES) for seed in seeds)
             rows = pd.DataFrame([row for clip in clips for row in measure_clip(clip)])
             for boxes, own in rows.groupby("boxes", sort=False):
-                means = own.drop(columns="boxes").mean().to_dict()
+                means = {key: float(own[key].mean()) for key in ("never bare %", *COLUMNS)}
                 yield {"clip": name, "standing": standing, "boxes": str(boxes), **means}
 
 
