@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from benchmarks.background import benchmark as background_results
-from benchmarks.background import crops, hover, own_boxes
+from benchmarks.background import crops, hover, long_queues, own_boxes
 from benchmarks.background import real as background_real
 from benchmarks.background.drawn_queue import draw_queue
 from benchmarks.background.methods import (
@@ -197,3 +199,14 @@ def test_found_boxes_are_left_out_of_a_second_map(tmp_path):
     assert [row["boxes"] for row in rows] == ["none", "found"]
     assert rows[0]["stood"] != rows[1]["stood"]
     assert max(row["passed"] for row in rows) < 10
+
+
+def test_ground_that_is_never_bare_is_not_judged(small):
+    share, ground = small.share.copy(), small.ground.copy()
+    share[40:60, 60:70] = 1.0
+    ground[40:60, 60:70] = 255  # far from what any frame shows
+    clip = replace(small, share=share, ground=ground)
+    rows = {row["boxes"]: row for row in long_queues.measure_clip(clip)}
+    assert list(rows) == ["median", "none", "all", "10 % missing"]
+    assert rows["none"]["never bare %"] == pytest.approx(25.0)
+    assert rows["none"]["stood"] < 10

@@ -1,7 +1,8 @@
 """Collect small copies of frames, have `traffic_removal` find their traffic, average the rest.
 
-Boxes of detections count as unseen: what they miss is found as all traffic is. All frames that are
-given count; `mapping.sampling` chooses them.
+Boxes of detections count as unseen, as does what looks like what other frames have boxes of; what
+they miss else is found as all traffic is. All frames that are given count; `mapping.sampling`
+chooses them.
 """
 
 from collections.abc import Iterable
@@ -13,16 +14,18 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.base.errors import BackgroundError
+from geoaim.base.geometry import transform_boxes
 from geoaim.mapping.background.exposure import (
     apply_gain,
     black_level,
     estimate_gain,
     start_exposure,
 )
+from geoaim.mapping.background.missed_boxes import find_missed_vehicles
 from geoaim.mapping.background.running_mean import Background, Registered, RunningMean, draw_outside
 from geoaim.mapping.background.traffic_removal import MIN_FRAMES, find_traffic
 from geoaim.mapping.background.warping import draw_footprint, enlarge_mask, warp
-from geoaim.mapping.video.detections import Detections
+from geoaim.mapping.video.detections import Detections, convert_boxes
 from geoaim.mapping.video.frames import Frame
 
 MAX_SMALL_SIDE_PX = 1024  # longest side of the small frames in which traffic is searched
@@ -37,6 +40,7 @@ class TrafficSearch:
         self._exposure = start_exposure(size)
         self._stack: list[UInt8[Array, "h w 3"]] = []  # warped to the image
         self._seen: list[Bool[Array, "h w"]] = []  # what each shows of the image outside of boxes
+        self._boxes: list[Float[Array, "_ 4"]] = []  # in pixels of the stack; [] without any
         self._times: list[float] = []  # seconds
 
     @property
@@ -51,8 +55,9 @@ class TrafficSearch:
             frame: the frame.
             image_from_frame: (3, 3) pixels of the frame to pixels of the background.
         """
-        outside = None
+        outside = boxes = None
         if self.detections is not None:
+            boxes = convert_boxes(self.detections(frame))
             outside = draw_outside(self.detections, frame, image_from_frame, self.size)
             if outside is None:
                 return
@@ -64,6 +69,9 @@ class TrafficSearch:
         seen = draw_footprint(pixels.shape, matrix, small)
         if outside is not None:
             seen *= np.asarray(cv2.resize(outside, small[::-1], interpolation=cv2.INTER_NEAREST))
+        if boxes is not None:
+            corners = transform_boxes(small_from_image @ image_from_frame, boxes.boxes)
+            self._boxes.append(np.hstack([corners.min(axis=1), corners.max(axis=1)]))
         self._stack.append(warp(pixels, matrix, small))
         self._seen.append(seen.view(bool))
         self._times.append(frame.time)
@@ -83,10 +91,15 @@ class TrafficSearch:
                 "frames as they are"
             )
         stack, seen = np.stack(self._stack), np.stack(self._seen)
+        missed = find_missed_vehicles(stack, seen, self._boxes) if self._boxes else None
+        if missed is not None:
+            seen &= ~missed
         self._stack.clear()
         self._seen.clear()
         traffic = find_traffic(stack, seen, np.argsort(self._times, kind="stable"))
-        del stack, seen
+        if missed is not None:
+            np.logical_or(traffic.masks, missed, out=traffic.masks)
+        del stack, seen, missed
         mean = RunningMean(self.size, self.detections)
         if (known := self.detections) is not None:
             frames = (pair for pair in frames if known(pair[0]) is not None)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from geoaim.mapping.background.missed_boxes import find_missed_vehicles
 from geoaim.mapping.background.traffic_search import remove_traffic
 from geoaim.mapping.video.detections import read_detections
 from tests.mapping.background.clips import SIZE, boxes_of_queue, frames_of, queue
@@ -38,3 +39,22 @@ def test_frames_without_an_entry_are_left_out(ground):
     )
     assert background.frames_used == 28
     assert measure_error(background, ground)[35:105].max() < 6
+
+
+def test_what_boxes_miss_of_a_vehicle_that_always_stands_is_contested(ground):
+    entries = boxes_of_queue(standing=1.0)
+    for k in range(1, 30, 3):
+        entries[k] = entries[k][1:]
+    images = queue(ground, standing=1.0)
+    detections = read_detections(entries)
+    background = remove_traffic(frames_of(images), size=SIZE, detections=detections)
+    assert background.contested[40:60, 60:100].all()
+
+
+def test_a_false_box_hides_nothing_but_itself(ground):
+    stack = np.stack(queue(ground))
+    seen = np.ones(stack.shape[:3], bool)
+    boxes = [np.empty((0, 4))] * len(stack)
+    boxes[3] = np.array([[10.0, 5.0, 40.0, 25.0]])
+    seen[3, 5:25, 10:40] = False
+    assert not find_missed_vehicles(stack, seen, boxes).any()
