@@ -11,7 +11,10 @@ AimFile = Annotated[
         help="AIM: a .tif that build, align or draw wrote, or a folder of place or texture"
     ),
 ]
-VideoSource = Annotated[str, typer.Argument(help="video file, or folder or glob of images")]
+VideoSource = Annotated[
+    str,
+    typer.Argument(help="video file, or folder or glob of images; a part: hover.mp4#t=8.5,24 (s)"),
+]
 ControlPoints = Annotated[
     Path | None,
     typer.Option(help="control points: .csv, OpenDroneMap gcp_list.txt or QGIS .points"),

@@ -1,6 +1,6 @@
 """Build an AIM from video: registration, background, georeference, in this order."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NoReturn, TypeVar
@@ -28,7 +28,7 @@ from geoaim.mapping.georeference.reference_frame import (
 )
 from geoaim.mapping.georeference.transform_models import distort_points
 from geoaim.mapping.registration import register
-from geoaim.mapping.registration.hover import find_hover
+from geoaim.mapping.registration.hover import find_hovers
 from geoaim.mapping.registration.placements import MOVING_PART
 from geoaim.mapping.report import (
     report_background,
@@ -51,6 +51,7 @@ Ground = TypeVar("Ground", Background, AIM)  # an image of the ground and what i
 MIN_USED_SHARE = 0.5  # the build warns if a smaller share of the frames is used
 MAX_TYPICAL_UNCERTAINTY_PX = 1.0  # the build warns if the registration is less certain
 MAX_CONTESTED_SHARE = 0.1  # the build warns if a greater share of the pixels is contested
+MAX_OUTSIDE_SHARE = 0.2  # of a frame, outside the map; the build warns of more
 SURVEY_ADVICE = (
     "of the photos of a survey flight, make an orthophoto first (with OpenDroneMap, for example) "
     "and read it as imagery"
@@ -112,7 +113,7 @@ def build_aim(
             opened,
             detections=vehicles,
             model="rest" if opened.is_fixed else None,
-            time=choose_reference_time(given),
+            time=choose_reference_time(given, opened),
             probes=list(sample.read()) if sample.is_kept else (),
             prefer_first=is_anywhere(given),
         )
@@ -121,8 +122,12 @@ def build_aim(
             sample, reference, vehicles, progress, photos=photos
         )
     except RegistrationError as error:
-        raise RegistrationError(f"{error}{'' if photos else _advise_cut(sample)}") from error
+        raise RegistrationError(
+            f"{error}{'' if photos else _advise_cut(opened, sample)}"
+        ) from error
     _warn_of_limits(registration, background, photos=photos, has_boxes=vehicles is not None)
+    if not photos:
+        _warn_of_other_views(registration, lambda: _advise_cut(opened, sample))
     background = remove_distortion(background, georeference.radial)
     method = _describe_method(vehicles, sample, registration)
     return AIM(
@@ -207,22 +212,14 @@ def _register_and_average(
     return registration, replace(plain, contested=plain.coverage > 0)
 
 
-def _advise_cut(sample: Sample) -> str:
-    """Say when the camera hovers, if it does so in a part of the video only."""
-    times: list[float] = []
-
-    def read() -> Iterator[Frame]:
-        for frame in sample.read():
-            times.append(frame.time)
-            yield frame
-
-    if (hover := find_hover(read())) is None or hover == (times[0], times[-1]):
+def _advise_cut(video: Video, sample: Sample) -> str:
+    """Say when the camera hovers, if it does so in parts of the video only."""
+    if not (hovers := find_hovers(sample.read())):
         return ""
-    start, end = (f"{time:.1f}" for time in hover)
+    parts = " and ".join(f"'{video.source}#t={start:.1f},{end:.1f}'" for start, end in hovers)
     return (
-        f". The view stays from {start} to {end} s of {times[0]:.1f} to {times[-1]:.1f} s: build "
-        f"the map of that part (ffmpeg -ss {start} -to {end} -i VIDEO -c copy PART.mp4), with "
-        "points that are picked on its frames"
+        f". The view stays in {parts} (seconds): name one of these as the video for a map of that "
+        "part, with points that are picked on its frames"
     )
 
 
@@ -266,13 +263,6 @@ def _warn_of_limits(
             f"and is contested everywhere; {SURVEY_ADVICE}"
         )
         return
-    seconds = registration.time[valid]
-    if valid.mean() < MIN_USED_SHARE:
-        warn(
-            f"only {valid.sum()} of {len(valid)} frames could be registered to the reference at "
-            f"{reference.time:.1f} s ({', '.join(register.count_reasons(registration.reason))}), "
-            f"those between {seconds[0]:.1f} and {seconds[-1]:.1f} s"
-        )
     typical = float(np.median(registration.uncertainty[valid]))
     if typical > MAX_TYPICAL_UNCERTAINTY_PX:
         warn(
@@ -290,17 +280,32 @@ def _warn_of_limits(
             f"the ground is uncertain in {background.contested.mean():.0%} of the pixels: "
             f"{advice}, or give a longer video"
         )
-    middle = np.array([[reference.width / 2, reference.height / 2]])
-    centres = transform_points(registration.reference_from_frame[valid], middle)[:, 0]
-    inside = ((centres > 0) & (centres < [reference.width, reference.height])).all(axis=1)
-    if not inside.all():
-        stays = seconds[inside]
-        warn(
-            f"the view leaves the reference at {reference.time:.1f} s in {(~inside).sum()} of "
-            f"{valid.sum()} frames, and the map ends there; its middle is in view between "
-            f"{stays[0]:.1f} and {stays[-1]:.1f} s: cut the video there, and build a separate "
-            "map of each place"
+
+
+def _warn_of_other_views(
+    registration: register.Registration, advise_cut: Callable[[], str]
+) -> None:
+    """Warn when frames show other ground than the reference, where the map ends."""
+    reference, valid = registration.reference, registration.valid
+    size = [reference.width, reference.height]
+    shares = np.linspace(0.05, 0.95, 10)
+    grid = np.stack(np.meshgrid(shares, shares), axis=-1).reshape(-1, 2) * size
+    views = transform_points(registration.reference_from_frame[valid], grid)
+    outside = 1 - ((views > 0) & (views < size)).all(axis=2).mean(axis=1)
+    leaves = outside > MAX_OUTSIDE_SHARE
+    found = []
+    if valid.mean() < MIN_USED_SHARE:
+        found.append(
+            f"only {valid.sum()} of {len(valid)} frames could be registered to the reference at "
+            f"{reference.time:.1f} s ({', '.join(register.count_reasons(registration.reason))})"
         )
+    if leaves.any():
+        found.append(
+            f"the view leaves the reference at {reference.time:.1f} s in {leaves.sum()} of "
+            f"{valid.sum()} frames, by up to {outside.max():.0%} of the image; the map ends there"
+        )
+    if found:
+        warn("; ".join(found) + advise_cut())
 
 
 def _describe_method(

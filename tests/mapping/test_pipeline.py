@@ -73,11 +73,9 @@ def test_the_report_describes_every_stage(aim):
     assert len(report["georeference"]["corner_uncertainty_m"]) == 4
 
 
-def test_points_on_a_frame_that_cannot_be_registered_are_refused_by_name(frames):
+def test_points_on_a_frame_that_shows_something_else_are_refused(frames):
     spoilt = [*frames[:5], np.random.default_rng(0).integers(0, 256, frames[0].shape, np.uint8)]
-    with pytest.raises(
-        GeoreferenceError, match=r"cannot be registered.* p0 on frame 5 .*0 are left"
-    ):
+    with pytest.raises(RegistrationError, match=r"1 of 6 frames .* to the reference at 5\.0 s"):
         build_aim(spoilt, points_on(5))
 
 
@@ -196,15 +194,49 @@ def test_frames_that_fit_nothing_are_counted_in_the_refusal(frames):
         build_aim([frames[0], *noise], points_on(0))
 
 
-def test_the_hover_of_a_flight_is_named_where_the_first_frame_is_of_the_take_off():
-    ground = textured(np.random.default_rng(5), 720, 1280)
-    flight = []
-    for scale in (*np.geomspace(16, 1.3, 8), *[1.0] * 12, *np.geomspace(1.3, 6, 6)):
-        left, top = np.array([640, 360]) * (1 - 0.5 / scale)
-        matrix = np.array([[scale, 0, -left * scale], [0, scale, -top * scale]])
-        flight.append(cv2.warpAffine(ground, matrix, (640, 360)))
-    with pytest.raises(RegistrationError, match=r"stays from 8\.0 to 19\.0 s of 0\.0 to 25\.0 s"):
-        build_aim(open_video(flight, rate=1.0), points_on(0))
+@pytest.fixture(scope="module")
+def flight():
+    """Take-off, a hover, a transit of 1.5 image widths, a longer hover, landing; 1 frame/s."""
+    ground = textured(np.random.default_rng(5), 720, 1920)
+    path = [(480, 16.0), (480, 4.0), *[(480, 1.0)] * 5, (800, 1.0), (1120, 1.0)]
+    path += [*[(1440, 1.0)] * 7, (1440, 4.0)]
+    images = []
+    for middle, scale in path:
+        matrix = np.array([[scale, 0, 320 - middle * scale], [0, scale, 180 - 360 * scale]])
+        images.append(cv2.warpAffine(ground, matrix, (640, 360)))
+    return open_video(images, rate=1.0)
+
+
+@pytest.mark.slow
+def test_hovers_of_a_flight_are_named_where_the_first_frame_is_of_the_take_off(flight):
+    with pytest.raises(
+        RegistrationError, match=r"stays in 'arrays#t=2\.0,6\.0' and 'arrays#t=9\.0,15\.0'"
+    ):
+        build_aim(flight, points_on(0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frame", [4, 12])
+def test_points_on_a_frame_of_a_hover_choose_it(flight, frame):
+    with pytest.warns(GeoaimWarning, match=r"the map ends there\. The view stays in 'arrays#t=2"):
+        aim = build_aim(flight, points_on(frame))
+    assert aim.report["registration"]["reference_index"] == frame
+    expected = transform_points(TRUTH, image_corners(360, 640))
+    np.testing.assert_allclose(aim.corners, expected, atol=0.01)
+
+
+@pytest.mark.slow
+def test_without_points_the_longest_hover_is_the_map(flight):
+    with pytest.warns(GeoaimWarning, match="The view stays in"):
+        aim = build_aim(flight, make_local_georeference(resolution=0.1, size=(360, 640)))
+    assert 9 <= aim.report["registration"]["reference_index"] <= 15
+
+
+@pytest.mark.slow
+def test_a_view_that_moves_by_a_third_is_warned_of(frames):
+    moved = [np.roll(frame, -220, axis=1) for frame in frames]
+    with pytest.warns(GeoaimWarning, match=r"leaves the reference at 0\.0 s in 12 of 24 frames"):
+        build_aim([*frames, *moved], points_on(0))
 
 
 def test_detections_of_few_frames_are_warned_of(frames):

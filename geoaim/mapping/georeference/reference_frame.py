@@ -56,11 +56,13 @@ ADVICE = {
 FrameName = str | int | None  # names the frame that a control point was picked on
 
 
-def choose_reference_time(gcps: ControlPoints | Georeference | None) -> float | None:
-    """Choose the reference's time: 0.0 if `gcps` are of the first frame; None leaves it open."""
+def choose_reference_time(gcps: ControlPoints | Georeference | None, video: Video) -> float | None:
+    """Choose the time of the reference: of the frame that `gcps` are of; None leaves it open."""
     if isinstance(gcps, ControlPoints):
-        return 0.0 if all(frame in (None, 0) for frame in gcps.frames) else None
-    return None if gcps is None or is_anywhere(gcps) else 0.0
+        frames = {_find_frame_index(picked, video) for picked in gcps.frames}
+        is_open = len(frames) > 1 or (video.names is not None and frames != {0})
+        return None if is_open else video.find_time(frames.pop())
+    return None if gcps is None or is_anywhere(gcps) else video.start
 
 
 def is_anywhere(gcps: ControlPoints | Georeference | None) -> bool:
@@ -95,7 +97,7 @@ def _place_points(
     points: ControlPoints, video: Video, reference: Reference, detections: Detections | None
 ) -> tuple[ControlPoints, Reference]:
     """Transform control points to the reference; points that cannot be placed are left out."""
-    frames = {picked: _find_frame_index(picked, video.listed) for picked in points.frames}
+    frames = {picked: _find_frame_index(picked, video) for picked in points.frames}
     transforms, reasons = {}, {}
     for picked, index in frames.items():
         time = video.find_time(index)
@@ -158,15 +160,18 @@ def _move_points(
     return replace(merged, frames=(None,) * len(merged.pixels))
 
 
-def _find_frame_index(picked: FrameName, listed: FrameList) -> int:
-    if picked is None or isinstance(picked, int):
+def _find_frame_index(picked: FrameName, video: Video) -> int:
+    listed = video.listed
+    if picked is None:
+        return video.first
+    if isinstance(picked, int):
         count = listed.count
         if picked and count is not None and picked >= count:
             raise GeoreferenceError(
                 f"control points name frame {picked}, but {listed.source} has {count} frames, "
                 "counted from 0"
             )
-        return picked or 0
+        return picked
     if listed.names is None or picked not in listed.names:
         raise GeoreferenceError(
             f"control points name the frame {picked!r}, which is not among those of "

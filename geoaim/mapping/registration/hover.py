@@ -12,14 +12,14 @@ MAX_SPEED = 0.02  # of a corner of the view, in image widths a second; a hoverin
 MIN_FRAMES = 4  # of a hover
 
 
-def find_hover(frames: Iterable[Frame]) -> tuple[float, float] | None:
-    """Find the longest time in which the view stays from one frame to the next.
+def find_hovers(frames: Iterable[Frame]) -> list[tuple[float, float]]:
+    """Find the times in which the view stays from one frame to the next.
 
     Args:
         frames: spread over the video, in order of time.
 
     Returns:
-        Its first and last second; None where it never does.
+        First and last second of each, in order of time; empty where it stays in all frames.
     """
     runs: list[list[float]] = []
     before = None
@@ -39,5 +39,6 @@ def find_hover(frames: Iterable[Frame]) -> tuple[float, float] | None:
         else:
             runs.append([frame.time])
         before = features
-    longest = max(runs, key=lambda run: run[-1] - run[0], default=[])
-    return (longest[0], longest[-1]) if len(longest) >= MIN_FRAMES else None
+    if len(runs) == 1:
+        return []
+    return [(run[0], run[-1]) for run in runs if len(run) >= MIN_FRAMES]

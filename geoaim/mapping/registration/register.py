@@ -36,6 +36,7 @@ from geoaim.mapping.registration.frame_registration import (
     register_frame,
     select_keyframe,
 )
+from geoaim.mapping.registration.hover import find_hovers
 from geoaim.mapping.registration.motion_models import Model, ModelChoice, PointMatches, choose_model
 from geoaim.mapping.registration.patches import PatchAlignment
 from geoaim.mapping.registration.rest import (
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
 COMPARE_EVERY = 10  # frames, after which a placement is compared with others again
 COMPARE_SHIFT_SHARE = 1 / 240  # shift, in image widths, after which it is compared sooner
 PROBE_FRAMES = 5  # number of frames from which the reference and the model are chosen
+HOVER_FRAMES = 64  # among which hovers are searched where the probes show other views
 PROBE_FEATURES = 800  # features of each probe that are matched between probes
 TIME_TOLERANCE_S = 1e-3  # two frames are not nearer
 MIN_OF_USUAL = 0.75  # of the median uncertainty of a video's frames, which none states less than
@@ -221,11 +223,11 @@ def choose_reference(
     """Choose the reference and the motion model by a few frames spread over the video.
 
     A camera that stands still is recognised first; any frame then serves. Else the reference is the
-    middle one if all others can be registered to it, or the one that matches most others, or the
-    first one when the view moves on so that none overlaps with the others.
+    middle one if all others can be registered to it, or the middle of the longest hover of a
+    flight, or the one that matches most others, or the first one when none overlaps with others.
     """
     if model == "rest" and time is None:
-        time = 0.0  # any frame serves
+        time = video.start  # any frame serves
     is_given = time is not None and model is not None
     read = list(probes) or ([] if is_given else list(video.sample(PROBE_FRAMES)))
     probes = _spread(read, PROBE_FRAMES)
@@ -242,11 +244,17 @@ def choose_reference(
             return replace(reference, model="rest")
     placed = [] if is_given else _register_probes(reference, probes)
     if time is None and not all(result.valid for result, _ in placed):
-        features = [
-            detect_features(probe.grey, exclude=mask_detections(probe, detections))
-            for probe in probes
-        ]
-        best = probes[_choose_best_connected(features, (video.height, video.width))]
+        many = read if len(read) > PROBE_FRAMES else video.sample(HOVER_FRAMES)
+        if hovers := find_hovers(many):
+            start, end = max(hovers, key=np.ptp)
+            best = next(iter(video.frames_at([(start + end) / 2])))
+            probes = list(video.frames_at(np.linspace(start, end, PROBE_FRAMES)))
+        else:
+            features = [
+                detect_features(probe.grey, exclude=mask_detections(probe, detections))
+                for probe in probes
+            ]
+            best = probes[_choose_best_connected(features, (video.height, video.width))]
         reference = _make_reference(best, detections, model)
         placed = _register_probes(reference, probes)
     patches = len(reference.keyframe.fine.points)

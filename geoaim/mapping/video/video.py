@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ BYTES_PER_PIXEL = 16  # memory for a pixel while an image is decoded
 MAX_CHANNELS = 4  # of an image: RGB and opacity
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 Pixels = UInt8[Array, "H W 3"] | UInt8[Array, "H W"]
+# seconds of a video to which it is cut, as of a media fragment (W3C): flight.mp4#t=8.5,24
+PART = re.compile(r"#t=(\d+\.?\d*),(\d+\.?\d*)$")
 INDEX_TOLERANCE = 1e-6  # frames: in floats, 0.3 s at 10 frames a second is frame 2.999...
 
 
@@ -50,6 +53,8 @@ class Video:
             is, inf where frames are only read from the first on.
         read_times: reads the times of all frames, s; None where they are evenly spaced.
         is_fixed: whether the camera is said to stand still, on a mast or a tripod.
+        start: time of the first frame, s; 0 unless it is a part of a video, whose frames keep their
+            numbers and times.
     """
 
     source: str
@@ -64,6 +69,7 @@ class Video:
     keyframe_interval: float = 0.0
     read_times: Callable[[], Float[Array, " N"] | None] = lambda: None
     is_fixed: bool = False
+    start: float = 0.0
 
     def __iter__(self) -> Iterator[Frame]:
         return self.read_all()
@@ -87,6 +93,12 @@ class Video:
         if index < 0 or (count is not None and index >= count):
             raise ValueError(f"{self.source} has {count} frames, from 0, and none is {index}")
         return index / self.rate if times is None else float(times[index])
+
+    @cached_property
+    def first(self) -> int:
+        """Number of the first frame; 0 unless it is a part of a video."""
+        times = self.listed.times
+        return 0 if times is None else int(np.argmin(np.abs(times - self.start)))
 
     @cached_property
     def telemetry(self) -> Telemetry | None:
@@ -116,25 +128,24 @@ class Video:
         total = self.frame_count if self.frame_count is not None else sum(1 for _ in self)
         if count >= total:
             return iter(self)
-        last = (total - 1) / self.rate
-        half_a_step = last / max(count - 1, 1) / 2
-        return self.read_at(np.linspace(0.0, last, count), half_a_step)
+        length = (total - 1) / self.rate
+        half_a_step = length / max(count - 1, 1) / 2
+        return self.read_at(self.start + np.linspace(0.0, length, count), half_a_step)
 
 
 VideoSource = str | Path | Video | Sequence[str | Path] | Iterable[Array]
 
 
 def read_frame(video: Video, time: float) -> Frame:
-    """Read the frame that a video shows at a time, seconds.
+    """Read the frame that a video shows at a time, seconds; of a part at least its first one.
 
     Raises:
         ValueError: the video is shorter.
     """
-    found = next(video.frames_at([time]), None)
-    if found is None or time >= video.duration:
-        raise ValueError(
-            f"{video.source} has no frame at {time:g} s: it lasts {video.duration:.2f} s"
-        )
+    end = video.start + video.duration
+    found = next(video.frames_at([max(time, video.start)]), None)
+    if found is None or time >= end:
+        raise ValueError(f"{video.source} has no frame at {time:g} s: it lasts {end:.2f} s")
     return found
 
 
@@ -144,7 +155,9 @@ def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = 
     Args:
         source: path of a video, of a folder of images (jpg, png, tif, in natural order) or of one
             image; a glob pattern; a sequence of image paths; a sequence or re-iterable of
-            (H, W, 3) RGB or (H, W) grey uint8 arrays; or a Video, which is returned.
+            (H, W, 3) RGB or (H, W) grey uint8 arrays; or a Video, which is returned. A path may end
+            with the seconds of a part, `flight.mp4#t=8.5,24`: telemetry, numbers and times of its
+            frames stay those of the whole video.
         rate: frames per second of images and arrays; 1 makes time the index. Video files carry
             their own timestamps.
         threads: decoding threads; None leaves the number to the decoder.
@@ -166,6 +179,9 @@ def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = 
     if isinstance(source, Video):
         return source
     if isinstance(source, str | Path):
+        if (part := PART.search(str(source))) and not Path(source).exists():
+            whole = open_video(str(source)[: part.start()], rate=rate, threads=threads)
+            return _cut_video(whole, float(part[1]), float(part[2]))
         paths = _list_images(str(source))
         if paths is None:
             return _open_file(Path(source), threads)
@@ -182,6 +198,41 @@ def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = 
     if len(source) and isinstance(source[0], str | Path):
         return _open_images(f"{len(source)} images", [Path(path) for path in source], rate)
     return _open_indexed(lambda index: source[index], len(source), rate)
+
+
+def _cut_video(video: Video, start: float, end: float) -> Video:
+    """Cut a video to the frames between two times, s."""
+    times = video.listed.times
+    if times is None:
+        times = np.array([frame.time for frame in video])
+    inside = times[(times >= start - INDEX_TOLERANCE) & (times <= end + INDEX_TOLERANCE)]
+    if not len(inside):
+        raise VideoError(
+            f"{video.source} has no frame between {start:g} and {end:g} s; its frames are of "
+            f"{times[0]:.2f} to {times[-1]:.2f} s"
+        )
+    first, last = inside[[0, -1]] + [-INDEX_TOLERANCE, INDEX_TOLERANCE]
+
+    def read_at(wanted: Float[Array, " n"], slack: float) -> Iterator[Frame]:
+        for frame in video.read_at(wanted, slack):
+            if slack == 0.0 or first < frame.time < last:  # a keyframe may lie outside
+                yield frame
+
+    return replace(
+        video,
+        rate=(len(inside) - 1) / (inside[-1] - inside[0]) if len(inside) > 1 else video.rate,
+        frame_count=len(inside),
+        read_all=lambda: _take_between(video, first, last),
+        read_at=read_at,
+        read_times=lambda: times,
+        start=float(inside[0]),
+    )
+
+
+def _take_between(frames: Iterable[Frame], first: float, last: float) -> Iterator[Frame]:
+    return takewhile(
+        lambda frame: frame.time < last, dropwhile(lambda frame: frame.time < first, frames)
+    )
 
 
 def _open_file(path: Path, threads: int | None) -> Video:

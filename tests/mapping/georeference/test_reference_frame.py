@@ -21,10 +21,19 @@ from tests.conftest import textured
 from tests.mapping.georeference.points import SIZE, make_points
 
 
-@pytest.mark.parametrize(("frame", "time"), [(None, 0.0), (0, 0.0), (7, None), ("b.jpg", None)])
-def test_points_on_the_first_frame_make_it_the_reference(frame, time):
-    points = make_points()
-    assert choose_reference_time(replace(points, frames=(frame,) * len(points.names))) == time
+@pytest.mark.parametrize(
+    ("frames", "time"), [((None,), 0.0), ((0,), 0.0), ((2,), 1.0), ((None, 0), 0.0), ((0, 2), None)]
+)
+def test_points_on_one_frame_make_it_the_reference(frames, time):
+    video = open_video(np.zeros((3, 4, 6, 3), np.uint8), rate=2)
+    points = replace(make_points(), frames=frames)
+    assert choose_reference_time(points, video) == time
+
+
+@pytest.mark.parametrize(("frame", "time"), [(None, 0.0), ("a.jpg", 0.0), ("b.jpg", None)])
+def test_points_on_a_photo_make_the_first_one_alone_the_reference(frame, time):
+    points = replace(make_points(), frames=(frame,))
+    assert choose_reference_time(points, open_with_telemetry()) == time
 
 
 def test_points_on_the_reference_need_no_registration():
@@ -43,9 +52,11 @@ def test_points_on_the_reference_need_no_registration():
 
 def test_a_given_georeference_refers_to_the_first_frame_unless_it_gives_a_scale_alone():
     scale = make_local_georeference(resolution=0.1, size=(4, 4))
-    assert choose_reference_time(scale) is None
-    assert choose_reference_time(replace(scale, world=World("EPSG:32635", (0.0, 0.0)))) == 0.0
-    assert choose_reference_time(None) is None
+    video = open_video(np.zeros((3, 4, 6, 3), np.uint8))
+    assert choose_reference_time(scale, video) is None
+    placed = replace(scale, world=World("EPSG:32635", (0.0, 0.0)))
+    assert choose_reference_time(placed, video) == 0.0
+    assert choose_reference_time(None, video) is None
 
 
 def open_with_telemetry(**stated):

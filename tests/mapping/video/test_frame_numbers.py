@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geoaim.base.errors import GeoaimError, GeoaimWarning
+from geoaim.base.errors import GeoaimError, GeoaimWarning, VideoError
 from geoaim.mapping.georeference.reference_frame import _find_frame_index
 from geoaim.mapping.video.detections import read_detections
 from geoaim.mapping.video.video import Video, open_video, read_frame
@@ -44,7 +44,7 @@ def test_the_time_of_a_number_leads_to_that_frame(clip: Video) -> None:
     assert clip.listed.count == len(STAMPS)
     for number in (0, 5, 11, 12, 47):
         assert clip.find_time(number) == pytest.approx(TIMES[number], abs=1.5e-3)
-        [frame] = clip.frames_at([clip.find_time(_find_frame_index(number, clip.listed))])
+        [frame] = clip.frames_at([clip.find_time(_find_frame_index(number, clip))])
         assert number_of(frame) == number
     with pytest.raises(ValueError, match="48 frames"):
         clip.find_time(48)
@@ -129,3 +129,21 @@ def test_names_of_no_frame_are_refused(
     video = make_video() if images is None else make_video(1, names=images)
     with pytest.raises(GeoaimError, match=message):
         read_detections(write_labels(tmp_path / "a", names), video=video)
+
+
+def test_a_part_keeps_the_numbers_and_times_of_its_video(clip: Video) -> None:
+    part = open_video(f"{clip.source}#t={TIMES[8] - 0.02:.3f},{TIMES[40] + 0.01:.3f}")
+    assert part.frame_count == 33
+    frames = list(part)
+    assert [frame.index for frame in frames] == [number_of(frame) for frame in frames]
+    assert [frame.index for frame in frames] == list(range(8, 41))
+    sampled = [frame.index for frame in part.sample(5)]
+    assert all(8 <= index <= 40 for index in sampled)
+    assert read_frame(part, 0.0).index == _find_frame_index(None, part) == part.first == 8
+    assert part.find_time(30) == pytest.approx(TIMES[30], abs=1.5e-3)
+    assert number_of(next(part.frames_at([TIMES[2]]))) == 2
+
+
+def test_a_part_without_frames_is_refused(clip: Video) -> None:
+    with pytest.raises(VideoError, match=r"no frame between 90 and 95 s; its frames are of 0\.00"):
+        open_video(f"{clip.source}#t=90,95")
