@@ -232,8 +232,9 @@ def _refuse_few_frames(registration: register.Registration) -> NoReturn:
     raise RegistrationError(
         f"{valid.sum()} of {len(valid)} frames could be registered to the reference at "
         f"{registration.reference.time:.1f} s{f' ({reasons})' if reasons else ''}; at least "
-        f"{MIN_FRAMES} are needed to tell traffic from ground. Use more frames, or detections, "
-        f"or frames='all' (--frames all) for the mean with traffic{advice}"
+        f"{MIN_FRAMES} are needed to tell traffic from ground",
+        ". Use more frames, or detections, or frames='all' (--frames all) for the mean with "
+        f"traffic{advice}",
     )
 
 

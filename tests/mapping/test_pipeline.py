@@ -210,7 +210,7 @@ def flight():
 @pytest.mark.slow
 def test_hovers_of_a_flight_are_named_where_the_first_frame_is_of_the_take_off(flight):
     with pytest.raises(
-        RegistrationError, match=r"stays in 'arrays#t=2\.0,6\.0' and 'arrays#t=9\.0,15\.0'"
+        RegistrationError, match=r"The view stays in 'arrays#t=2\.0,6\.0' and 'arrays#t=9\.0,15\.0'"
     ):
         build_aim(flight, points_on(0))
 

@@ -82,7 +82,7 @@ def read_point_file(path: Path) -> list[PointRow]:
     except OSError as error:
         raise GeoreferenceError(f"{path}: cannot be read ({error}).") from error
     numbered = [
-        (number, trim_comment(line) if re.match(COMMENT, line) else line.strip())
+        (number, trim_comment(line) if re.match(COMMENT, line) else line.strip(" "))
         for number, line in enumerate(lines, 1)
         if line.strip(' \t,;"') and not re.match(r'\s*"?sep=', line, re.I)
     ]
@@ -106,9 +106,9 @@ def read_point_file(path: Path) -> list[PointRow]:
 
 
 def _read_workbook(content: bytes) -> str:
-    """The first sheet of an Excel workbook as the text of a CSV file."""
+    """The first sheet of an Excel workbook as a CSV file whose commas are decimal."""
     file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
+    writer = csv.writer(file, delimiter=";", lineterminator="\n")
     with ZipFile(io.BytesIO(content)) as book:
         names = {info.filename: info for info in book.infolist()}
         sheets = sorted(name for name in names if name.startswith("xl/worksheets/sheet"))
@@ -141,7 +141,7 @@ def _find_comment(numbered: Lines, key: str) -> tuple[int, str | None]:
 
 def _parse_accuracy(text: str, source: str) -> float:
     """Parse metres, with or without the unit."""
-    if (accuracy := _parse_number(text.removesuffix("m"), source)) < 0.0:
+    if (accuracy := _parse_number(text.removesuffix("m").replace(",", "."), source)) < 0.0:
         raise GeoreferenceError(f"{source}: accuracy {text!r}; metres, 0 or more, are needed.")
     return accuracy
 
@@ -260,8 +260,9 @@ def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
     }
     missing = [key for key in "uvxy" if key not in columns]
     if missing:
+        named = [name for name in header if name]
         raise GeoreferenceError(
-            f"{source}: no column for {', '.join(missing)} among {list(header)}. Control points"
+            f"{source}: no column for {', '.join(missing)} among {named}. Control points"
             " need u, v (or pixel_x, pixel_y; col, row) and x, y (or easting, northing; lon, lat)."
             " OpenDroneMap lists start with their CRS, such as EPSG:32635 or WGS84 UTM 35N, QGIS"
             " files with mapX."

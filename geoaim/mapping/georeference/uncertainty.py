@@ -12,11 +12,14 @@ from geoaim.mapping.georeference.posterior import ellipse_factor
 from geoaim.mapping.georeference.transform_models import (
     Points,
     apply_terms,
+    half_diagonal,
     normalise_pixels,
     term_jacobian,
 )
 
 GRID_SHAPE = (9, 15)  # places of an uncertainty map; odd, so that one is the middle
+# standard deviation of a further point, at least: few points may agree better by chance
+MIN_PICKING_PX = 0.5
 CORNERS = ("top left", "top right", "bottom right", "bottom left")
 
 
@@ -122,8 +125,11 @@ def _predict_with_points(
     """Radii of 95 % at each place, with one further control point at each of the places added."""
     points = design[added]
     transposed = points.transpose(0, 2, 1)
-    picking = np.nan_to_num(georeference.noise) ** 2 * np.eye(2)
-    gain = transposed @ np.linalg.pinv(points @ transposed + picking)
+    resolution = np.linalg.det(georeference.world_from_plane[:2, :2]) ** 0.5 / half_diagonal(
+        georeference.height, georeference.width
+    )
+    noise = np.fmax(georeference.noise, MIN_PICKING_PX * resolution)
+    gain = transposed @ np.linalg.pinv(points @ transposed + noise**2 * np.eye(2))
     remaining = np.eye(design.shape[2]) - gain @ points  # covariance of the unknowns afterwards
     x, y = design[:, 0], design[:, 1]
     xx, xy = ((x @ remaining * other).sum(axis=2) for other in (x, y))

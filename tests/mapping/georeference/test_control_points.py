@@ -257,3 +257,24 @@ def test_a_damaged_workbook_is_refused_by_its_name(tmp_path, damage):
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(GeoreferenceError, match=r"points\.xlsx"):
         read_control_points(path)
+
+
+def test_texts_of_a_workbook_may_have_decimal_commas(tmp_path):
+    texts = ["u", "v", "lon", "lat", "name", "10,5", "20,25", "27,5", "53,9"]
+    head = "".join(f'<c r="{c}1" t="s"><v>{i}</v></c>' for i, c in enumerate("BCDEA"))
+    values = "".join(f'<c r="{c}2" t="s"><v>{i}</v></c>' for i, c in enumerate("BCDE", 5))
+    path = tmp_path / "points.xlsx"
+    write_workbook(path, texts, f"<row>{head}</row><row>{values}</row>")
+    points = read_control_points(path)
+    np.testing.assert_array_equal(points.pixels, [[10.5, 20.25]])
+    np.testing.assert_array_equal(points.coordinates, [[27.5, 53.9]])
+
+
+def test_a_first_cell_may_be_empty_where_tabs_separate(tmp_path):
+    path = written(tmp_path, "name\tu\tv\tlon\tlat\n\t1\t2\t27.5\t53.9\n")
+    np.testing.assert_array_equal(read_control_points(path).pixels, [[1.0, 2.0]])
+
+
+def test_a_line_of_accuracy_may_have_a_decimal_comma(tmp_path):
+    path = written(tmp_path, "# accuracy: 0,05 m\nu;v;lon;lat\n1;2;27,5;53,9\n")
+    assert read_control_points(path).accuracy == 0.05

@@ -128,3 +128,9 @@ def test_equal_information_changes_nothing_and_redundancy_widens_the_statement()
     np.testing.assert_allclose(equal.leave_one_out, plain.leave_one_out, rtol=1e-6)
     once, thrice = (predict_uncertainty(one, GRID)[1] for one in (plain, redundant))
     np.testing.assert_allclose(thrice, np.sqrt(3.0) * once, rtol=1e-2)
+
+
+def test_a_further_point_is_not_promised_to_be_better_than_picking():
+    corner = GRID[[0, 1, 4, 5]] / 2  # exact, so that their own noise looks like nothing
+    found = map_uncertainty(estimate_georeference(make_points(pixels=corner), **SIZE))
+    assert found["worst_corner_with_point_there_m"] > 2 * 0.5 * 0.05  # two sigma of half a pixel
