@@ -122,9 +122,9 @@ def build_aim(
             sample, reference, vehicles, progress, photos=photos
         )
     except RegistrationError as error:
-        raise RegistrationError(
-            f"{error}{'' if photos else _advise_cut(opened, sample)}"
-        ) from error
+        cut = "" if photos else _advise_cut(opened, sample)
+        problem, *otherwise = error.args  # what helps where the camera never hovers
+        raise RegistrationError(f"{problem}{cut or ''.join(otherwise)}") from error
     _warn_of_limits(registration, background, photos=photos, has_boxes=vehicles is not None)
     if not photos:
         _warn_of_other_views(registration, lambda: _advise_cut(opened, sample))

@@ -190,8 +190,9 @@ def test_a_world_without_control_points_is_refused(frames):
 def test_frames_that_fit_nothing_are_counted_in_the_refusal(frames):
     other = textured(np.random.default_rng(3), 360, 640)
     noise = [np.roll(other, 97 * i, axis=(i % 2)) for i in range(5)]
-    with pytest.raises(RegistrationError, match="1 of 6 frames could be registered"):
+    with pytest.raises(RegistrationError, match="1 of 6 frames could be registered") as caught:
         build_aim([frames[0], *noise], points_on(0))
+    assert "needed to tell traffic from ground. Use more frames" in str(caught.value)
 
 
 @pytest.fixture(scope="module")
@@ -213,6 +214,12 @@ def test_hovers_of_a_flight_are_named_where_the_first_frame_is_of_the_take_off(f
         RegistrationError, match=r"The view stays in 'arrays#t=2\.0,6\.0' and 'arrays#t=9\.0,15\.0'"
     ):
         build_aim(flight, points_on(0))
+
+
+@pytest.mark.slow
+def test_more_frames_are_no_advice_where_hovers_are_named(flight):
+    with pytest.raises(RegistrationError, match=r"to tell traffic from ground\. The view stays in"):
+        build_aim(flight, points_on(1))
 
 
 @pytest.mark.slow

@@ -80,7 +80,7 @@ class FrameRegistration:
 class Keyframe:
     """A frame to which others are registered."""
 
-    grey: UInt8[Array, "H W"]
+    grey: UInt8[Array, "H W"]  # its image
     coarse: PatchTemplate  # its patches on a coarse pyramid level
     fine: PatchTemplate  # its patches at full size
     features: Features  # its ORB features
