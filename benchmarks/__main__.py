@@ -1,7 +1,10 @@
-"""List the benchmarks, each with what it measures."""
+"""List the benchmarks, each with what it measures; `stale` lists published results to renew."""
 
 import ast
+import sys
 from pathlib import Path
+
+from benchmarks import stale
 
 FOLDER = Path(__file__).parent
 
@@ -23,7 +26,9 @@ def list_benchmarks() -> dict[str, str]:
 
 
 def main() -> None:
-    """Print the list."""
+    """Print the list, or what is stale."""
+    if sys.argv[1:] == ["stale"]:
+        stale.main()
     for name, text in list_benchmarks().items():
         print(f"python -m {name}\n    {text}")
 

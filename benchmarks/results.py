@@ -2,10 +2,12 @@
 
 import json
 import platform
+import subprocess
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from datetime import date
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -18,6 +20,7 @@ from matplotlib.figure import Figure
 from geoaim.base.files import atomic_write
 from geoaim.base.progress import Progress
 
+ROOT = Path(__file__).parent.parent
 Row = Mapping[str, Any]
 Result = TypeVar("Result")
 Clock = Callable[[], float]
@@ -49,6 +52,23 @@ def describe_machine() -> dict[str, Any]:
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
+
+
+def describe_state() -> dict[str, Any]:
+    """Describe what is measured: the commit, whether the package differs from it, and the date."""
+    found: dict[str, Any] = {"commit": run_git("rev-parse", "--short=10", "HEAD").strip()}
+    found["date"] = date.today().isoformat()
+    changed = run_git("status", "--porcelain", "--", "geoaim").strip()
+    return found | ({"uncommitted": True} if changed else {})
+
+
+def run_git(*arguments: str) -> str:
+    """Run git in the repository; nothing comes back where it fails or there is none."""
+    command = ["git", "-C", str(ROOT), *arguments]
+    try:
+        return subprocess.run(command, check=False, capture_output=True, text=True).stdout
+    except FileNotFoundError:
+        return ""
 
 
 def measure_peak_megabytes() -> float:
@@ -181,7 +201,9 @@ def write_results(results: Results, folder: Path, name: str, command: str) -> li
 
 
 def write_json(content: Any, path: Path) -> None:
-    """Write content as JSON, NumPy arrays as lists."""
+    """Write content as JSON, NumPy arrays as lists; what a command made states commit and date."""
+    if isinstance(content, Mapping) and "command" in content:
+        content = {"command": content["command"], **describe_state(), **content}
     with atomic_write(path) as temporary:
         text = json.dumps(content, indent=1, default=_to_plain) + "\n"
         temporary.write_text(text, encoding="utf-8")

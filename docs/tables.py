@@ -161,6 +161,8 @@ def write_origin(name: str, results: Row) -> str:
     machine = results.get("machine")
     if machine:
         parts.append(f"on {machine['cores']} cores of {machine['processor'].split('@')[0].strip()}")
+    if "commit" in results:
+        parts.append(f"on {results['date']} (commit {results['commit'][:8]})")
     link = f"[docs/bench/{name}.json](../bench/{name}.json)"
     return f"<small>{' '.join(parts)}{'; ' if parts else ''}{link}</small>"
 

@@ -12,6 +12,8 @@ from benchmarks.curves import judge_choices, mark_pareto_fronts, summarise_sizes
 from benchmarks.georeference.methods import NAMES, draw_regions, measure_counts, measure_row
 from benchmarks.georeference.models import average_models, measure_models
 from benchmarks.georeference.simulated_points import NOISES
+from benchmarks.georeference.tilts import COUNTS as TILTED_COUNTS
+from benchmarks.georeference.tilts import TILTS, measure_tilts, summarise_tilts
 from benchmarks.results import Results, Row, collect
 from geoaim.base.errors import GeoaimWarning
 from geoaim.base.progress import Progress
@@ -50,6 +52,13 @@ def measure_georeference(quick: bool, progress: Progress) -> Results:
         )
         sizes = collect(measure_counts(trials, more), "number of points", progress, len(more))
         cases = collect(measure_models(trials // 4, chosen), "cameras", progress, len(chosen))
+        tilts = TILTS[::3] if quick else TILTS
+        tilted = collect(
+            measure_tilts(trials // 2, tilts, counts if quick else TILTED_COUNTS),
+            "tilts",
+            progress,
+            2 * len(tilts) * len(counts if quick else TILTED_COUNTS),
+        )
     sizes += average_models(cases)
     panels = {
         f"{row['points']} points": [
@@ -61,6 +70,8 @@ def measure_georeference(quick: bool, progress: Progress) -> Results:
     }
     tables: dict[str, Sequence[Row]] = {
         "rows": rows,
+        "few points of tilted cameras": list(summarise_tilts(tilted)),
+        "tilts": tilted,
         "fronts": mark_pareto_fronts(panels, "ms", "error, px"),
         "defaults": summarise_sizes(sizes),
         "choice of the model": [judge_choices(cases, TOLERANCE_PX)],

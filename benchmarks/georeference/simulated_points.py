@@ -13,7 +13,6 @@ from numpy import ndarray as Array
 
 from geoaim.base.geometry import image_corners, make_similarity, transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints
-from geoaim.mapping.georeference.posterior import PRIOR_SIGMA
 from geoaim.mapping.georeference.transform_models import (
     Points,
     compose_world_from_image,
@@ -22,6 +21,8 @@ from geoaim.mapping.georeference.transform_models import (
 )
 
 HEIGHT, WIDTH = 1080, 1920
+# stretch and shear, perspective, lens of a usual camera that looks down
+TERM_SIGMA = np.array([0.01, 0.01, 0.05, 0.05, 0.005])
 LAYOUTS = (  # boxes of the points, shares of the sides: left, top, right, bottom
     (0.06, 0.06, 0.94, 0.94),
     (0.06, 0.06, 0.35, 0.94),
@@ -45,9 +46,9 @@ class PointSet:
 
 
 def sample_terms_camera(generator: np.random.Generator) -> Camera:
-    """Draw a camera of the method's own nine terms, of 0, 1 or 3 times their expected sizes."""
+    """Draw a camera of the method's own nine terms, of 0, 1 or 3 times `TERM_SIGMA`."""
     terms = np.zeros(9)
-    terms[4:] = generator.choice([0.0, 1.0, 3.0]) * PRIOR_SIGMA * generator.normal(size=5)
+    terms[4:] = generator.choice([0.0, 1.0, 3.0]) * TERM_SIGMA * generator.normal(size=5)
     unit = 0.05 * half_diagonal(HEIGHT, WIDTH)
     plane = make_similarity(np.zeros(2), generator.uniform(0.0, 2.0 * np.pi), unit)
     matrix = compose_world_from_image(plane, terms, (HEIGHT, WIDTH))

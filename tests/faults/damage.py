@@ -6,7 +6,6 @@ CSV tracks are text that people edit: they have no checksum, and stand here for 
 """
 
 import argparse
-import json
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.results import write_json
 from geoaim.aim.files import read_aim
 from geoaim.base.checksums import MARK, PLACEHOLDER
 from geoaim.base.errors import GeoaimError
@@ -78,7 +78,7 @@ def main() -> None:
             rows.append({"format": name, "bytes": (FORMATS / name).stat().st_size, **counts})
             print(rows[-1], flush=True)
     command = "python -m tests.faults.damage -o docs/bench/damage.json"
-    arguments.output.write_text(json.dumps({"command": command, "rows": rows}, indent=1) + "\n")
+    write_json({"command": command, "rows": rows}, arguments.output)
 
 
 if __name__ == "__main__":

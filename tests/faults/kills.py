@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 from random import Random
 
+from benchmarks.results import write_json
 from geoaim import read_texture
 from geoaim.base.files import TEMPORARY, atomic_write
 from tests.faults import small_sample, writers
@@ -165,10 +166,7 @@ def main() -> None:
         rows.append({"writer": name, **counts})
         print(rows[-1], flush=True)
         if path:
-            text = json.dumps(
-                {"command": f"{COMMAND} --count {arguments.count}", "rows": rows}, indent=1
-            )
-            path.write_text(f"{text}\n", encoding="utf-8")
+            write_json({"command": f"{COMMAND} --count {arguments.count}", "rows": rows}, path)
     raise SystemExit(any(row["broken"] + row["leftovers"] + row["errors"] for row in rows))
 
 

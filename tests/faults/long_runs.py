@@ -7,7 +7,6 @@ The first tenth is warm-up; the mean of the second tenth is what the second half
 """
 
 import argparse
-import json
 import multiprocessing
 import sys
 import tempfile
@@ -20,6 +19,7 @@ import cv2
 import numpy as np
 import torch
 
+from benchmarks.results import write_json
 from geoaim.mapping.pipeline import build_aim
 from geoaim.prediction.config import TrainConfig
 from geoaim.prediction.dataset import Dataset
@@ -140,7 +140,7 @@ def main() -> None:
             rows.append(pool.apply(measure_run, (name,)))
         print(rows[-1], flush=True)
         command = "python -m tests.faults.long_runs -o docs/bench/long_runs.json"
-        arguments.output.write_text(json.dumps({"command": command, "rows": rows}, indent=1) + "\n")
+        write_json({"command": command, "rows": rows}, arguments.output)
     sys.exit(any(abs(row["largest_change_%"]) > 100 * TOLERANCE for row in rows))
 
 

@@ -31,6 +31,7 @@ from pathlib import Path
 import cv2
 import torch
 
+from benchmarks.results import write_json
 from geoaim.base.errors import GeoaimError, GeoaimWarning
 from tests.faults.mutations import mutate_file
 from tests.faults.plausible import describe_implausible
@@ -213,7 +214,7 @@ def _count_reader(path: Path, name: str, seeds: range, folder: Path, *, anew: bo
             "rows": [rows[known] for known in READERS if known in rows],
             "faults": kept,
         }
-        path.write_text(json.dumps(written, indent=1) + "\n")
+        write_json(written, path)
         print(row, *(f"\n  {fault}" for fault in faults[:5]), flush=True)
 
 

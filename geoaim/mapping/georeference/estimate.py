@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.base.errors import GeoreferenceError
+from geoaim.base.errors import GeoreferenceError, warn
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.world import (
     LONLAT,
@@ -106,6 +106,7 @@ def estimate_georeference(
     residuals = apply_terms(best.terms, plane) - pairs.ground
     leave_one_out = np.linalg.norm(residuals, axis=1)
     leave_one_out[used] = np.linalg.norm(best.leave_one_out, axis=1)
+    _warn_of_few_points(inliers.names, leave_one_out[used], fitted, metres)
     return Georeference(
         world_from_image=compose_world_from_image(world_from_plane, best.terms, size),
         world=world,
@@ -175,8 +176,7 @@ def _fit_models(
     else:
         candidates = fit_candidates(pairs, posterior, sigma)
     _check_horizon(choose_model(candidates), posterior, size)
-    spread = float(np.linalg.norm(pairs.image - pairs.image.mean(axis=0), axis=1).mean())
-    _check_plausibility(names, posterior, spread)
+    _check_plausibility(names, posterior, _measure_spread(pairs))
     return posterior, candidates
 
 
@@ -207,6 +207,25 @@ def _check_plausibility(names: tuple[str, ...], posterior: Posterior, spread: fl
             " steep slant: one of them is likely wrong. Check them;"
             f" {MIN_POINTS_UNUSUAL} points would prove it."
         )
+
+
+def _warn_of_few_points(
+    names: tuple[str, ...], leave_one_out: Float[Array, "m"], pairs: PointPairs, metres: float
+) -> None:
+    """Warn where points are too few to tell a tilted camera from a wrong point."""
+    far = leave_one_out > MAX_NOISE * _measure_spread(pairs)
+    if len(names) < MIN_POINTS_UNUSUAL and far.any():
+        worst = int(np.argmax(leave_one_out))
+        warn(
+            f"{names[worst]} lies {leave_one_out[worst] * metres:.3g} m from where the other"
+            f" {len(names) - 1} points put it: the camera is tilted, or a point is wrong, which so"
+            f" few cannot tell. {MIN_POINTS_UNUSUAL} points would."
+        )
+
+
+def _measure_spread(pairs: PointPairs) -> float:
+    """Mean distance of the points from their centre, in the normalised plane."""
+    return float(np.linalg.norm(pairs.image - pairs.image.mean(axis=0), axis=1).mean())
 
 
 MIN_PRELIMINARY_POINTS = 2

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray as Array
 from scipy.special import logsumexp, softmax
 
-from geoaim.mapping.georeference.posterior import compute_log_prior
+from geoaim.mapping.georeference.posterior import compute_log_noise_prior, compute_log_prior
 from geoaim.mapping.georeference.transform_models import (
     TERM_COUNTS,
     PointPairs,
@@ -19,8 +19,8 @@ from geoaim.mapping.georeference.transform_models import (
     invert_normal_matrix,
 )
 
-# candidates for the noise as multiples of the expected one; a priori, all are equally probable
-NOISES = np.geomspace(0.01, 100.0, 200)
+# logarithms of candidates for the noise, over the expected one
+LOG_NOISES = np.linspace(-np.log(100.0), np.log(100.0), 200)
 
 
 @dataclass(frozen=True)
@@ -84,11 +84,10 @@ def _fit_candidate(
 def _integrate_noise(error: Points, design: Array, precision: Array, sigma: float) -> float:
     """Logarithm of the likelihood, integrated over the terms and over the unknown noise.
 
-    Laplace's approximation at the fitted terms (Kass and Raftery 1995, Bayes Factors, 4.1); the
-    density of the noise is 1 / noise.
+    Laplace's approximation at the fitted terms (Kass and Raftery 1995, Bayes Factors, 4.1).
     """
-    variance = (sigma * NOISES) ** 2
+    variance = (sigma * np.exp(LOG_NOISES)) ** 2
     information = design.T @ design / variance[:, None, None] + np.diag(precision)
     volume = len(precision) * np.log(2.0 * np.pi) - np.linalg.slogdet(information)[1]
     squares = np.sum(error**2) / variance + error.size * np.log(variance)
-    return float(logsumexp((volume - squares) / 2.0))
+    return float(logsumexp((volume - squares) / 2.0 + compute_log_noise_prior(LOG_NOISES)))

@@ -18,11 +18,15 @@ from geoaim.mapping.georeference.transform_models import (
     invert_normal_matrix,
 )
 
-# One sigma for a camera that looks straight down: stretch and shear 1 %, perspective 5 % over half
-# the diagonal (a tilt of 3 degrees), a lens that moves the corners by 0.5 %.
-PRIOR_SIGMA = np.array([0.01, 0.01, 0.05, 0.05, 0.005])
+# One sigma for a camera that looks down: stretch and shear 2 %, perspective 15 % over half the
+# diagonal (a tilt of 8 degrees), a lens that moves the corners by 0.5 %. A narrower perspective
+# pulled four right points at 20 to 30 degrees metres off (`benchmarks.georeference.tilts`).
+PRIOR_SIGMA = np.array([0.02, 0.02, 0.15, 0.15, 0.005])
 PRIOR_DOF = 3.0  # degrees of freedom of Student's t; clear evidence outweighs its heavy tails
 PRIOR_GROUPS = ([4, 5], [6, 7], [8])  # terms that share a scale
+# One sigma of the logarithm of the noise. With an unlimited noise, a similarity with metres of it
+# beat the homography of four right points.
+NOISE_SPREAD = 0.7
 KNOWN = np.array([0.0] * 4 + [1e12] * 5)  # precision of terms of a similarity: the others are 0
 MAX_ITERATIONS = 30
 
@@ -34,7 +38,8 @@ def fit_posterior(
 
     The terms are those of similarity (4), stretch and shear (2), perspective (2) and lens (1).
     The variance of the noise is the mean of the residuals' variance and the expected one, weighted
-    by their degrees of freedom (a scaled inverse chi-square prior).
+    by their degrees of freedom (a scaled inverse chi-square prior); with `sigma_dof` 0, the prior
+    is log-normal (`compute_log_noise_prior`).
     """
     # Start with a wide prior, so that a strong lens is not suppressed.
     precision = 1.0 / np.concatenate([np.full(4, np.inf), 5.0 * PRIOR_SIGMA]) ** 2
@@ -81,12 +86,20 @@ def compute_log_prior(terms: Float[Array, "9"], free: list[int]) -> float:
     return float(density)
 
 
+def compute_log_noise_prior(log_noise: Float[Array, "n"]) -> Float[Array, "n"]:
+    """Compute the logarithm of the prior's density of the logarithm of noise over expected noise.
+
+    It is normal, so that the noise is log-normal; its mean square is the expected one.
+    """
+    return -0.5 * (log_noise / NOISE_SPREAD + NOISE_SPREAD) ** 2
+
+
 def _estimate_noise(
     squares: float, freedom: float, sigma: float, sigma_dof: float
 ) -> tuple[float, float]:
     """Variance of the noise and its degrees of freedom, from squared residuals and the prior.
 
-    For `sigma_dof` 0 the density of sigma is 1 / sigma. Its posterior, integrated numerically, is
+    For `sigma_dof` 0 the prior of sigma is log-normal. Its posterior, integrated numerically, is
     matched by the scaled inverse chi-square of the same mean and variance (Gelman et al. 2013,
     Bayesian Data Analysis, 2.6).
     """
@@ -96,6 +109,7 @@ def _estimate_noise(
     largest = max(3.0 * sigma, 3.0 * float(np.sqrt(squares / max(freedom, 1.0))))
     sigmas = np.geomspace(0.01 * sigma, largest, 100)
     logarithm = -freedom * np.log(sigmas) - squares / (2.0 * sigmas**2)
+    logarithm += compute_log_noise_prior(np.log(sigmas / sigma))
     weight = np.exp(logarithm - logarithm.max())
     weight /= weight.sum()
     mean = float(weight @ sigmas**2)

@@ -1,5 +1,6 @@
 import pytest
 
+from geoaim.base.errors import GeoaimWarning
 from geoaim.base.geometry import image_corners
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
@@ -8,7 +9,8 @@ from tests.mapping.georeference.points import SIZE, TILTED, make_points
 
 
 def test_exact_points_still_have_an_uncertainty():
-    result = estimate_georeference(select_points(make_points(TILTED), [0, 3, 8, 11]), **SIZE)
+    with pytest.warns(GeoaimWarning, match=r"the camera is tilted, or a point is wrong"):
+        result = estimate_georeference(select_points(make_points(TILTED), [0, 3, 8, 11]), **SIZE)
     sigma, radius = predict_uncertainty(result, image_corners(**SIZE))
     assert sigma.min() > 0.02
     assert (radius > 2.4 * sigma).all()

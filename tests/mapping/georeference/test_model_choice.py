@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.georeference.tilts import draw_tilted_set, judge_set
 from geoaim.mapping.georeference.model_choice import (
     Candidate,
     choose_model,
@@ -65,3 +66,14 @@ def test_probabilities_are_shares_of_the_evidence():
     )
     found = compute_probabilities([one, other])
     assert found == pytest.approx({"similarity": 0.75, "homography": 0.25})
+
+
+@pytest.mark.filterwarnings("ignore::geoaim.base.errors.GeoaimWarning")
+@pytest.mark.parametrize("tilt", [10.0, 20.0])
+def test_four_right_points_of_a_tilted_camera_give_its_tilt(tilt):
+    generator = np.random.default_rng(1)
+    for _ in range(4):
+        points, truth = draw_tilted_set(tilt, "corners", 4, False, generator)
+        worse, inside, ratio, _ = judge_set(points, truth, slice(None))
+        assert not worse
+        assert ratio < 1.5 or inside > 0.9

