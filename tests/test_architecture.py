@@ -6,11 +6,13 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
+
 import geoaim
 
 PACKAGE = Path(geoaim.__file__).parent
 ROOT = PACKAGE.parent
-HEAVY = ("torch", "matplotlib", "cv2", "rasterio", "av", "pandas", "pyproj")
+HEAVY = ("torch", "matplotlib", "cv2", "rasterio", "av", "pandas", "pyproj", "scipy", "numpy")
 
 
 def run_python(code: str) -> str:
@@ -28,9 +30,13 @@ def test_layers_contract_names_every_folder():
     assert folders - named == set()
 
 
-def test_import_geoaim_loads_nothing_heavy_and_mapping_no_torch():
-    code = f"import sys, json, geoaim; print(json.dumps([m for m in {HEAVY} if m in sys.modules]))"
+@pytest.mark.parametrize("module", ["geoaim", "geoaim.cli"])
+def test_import_loads_nothing_heavy(module):
+    code = f"import sys, json, {module}; print(json.dumps([m for m in {HEAVY} if m in sys.modules]))"
     assert json.loads(run_python(code)) == []
+
+
+def test_import_of_mapping_loads_no_torch():
     assert run_python("import sys, geoaim.mapping; print('torch' in sys.modules)") == "False\n"
 
 
