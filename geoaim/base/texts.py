@@ -2,8 +2,10 @@
 
 import re
 import unicodedata
+from typing import TYPE_CHECKING
 
-import pandas as pd
+if TYPE_CHECKING:
+    import pandas as pd
 
 HIDDEN = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # categories of Unicode: control, direction, line breaks
 FORMULA = re.compile(r"'*[=+\-@\t\r](?!\d*\.?\d*$)")  # by which a spreadsheet takes a text for one

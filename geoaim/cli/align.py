@@ -1,21 +1,19 @@
 """The command that aligns third-party imagery."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 import typer
 
+from geoaim.base.defaults import MAX_ROTATION_DEGREES, MAX_SCALING, MAX_SHIFT
 from geoaim.cli import options
 from geoaim.cli.console import print_result, report_errors
 from geoaim.cli.inputs import read_any_aim, read_any_tracks
 from geoaim.cli.outputs import check_map_output
-from geoaim.imagery.alignment.result import DEFAULT_PRIOR, Prior
 
 if TYPE_CHECKING:
     from geoaim.imagery.alignment.pipeline import Shift
-
-DEFAULT_ROTATION_DEGREES = float(np.degrees(DEFAULT_PRIOR.max_rotation))
 
 
 def align(
@@ -71,15 +69,13 @@ def align(
         Literal["all", "rgb"],
         typer.Option(help="bands to write: an AIM, or red, green and blue only for other programs"),
     ] = "all",
-    max_shift: Annotated[
-        float, typer.Option(help="largest expected shift, m", min=1)
-    ] = DEFAULT_PRIOR.max_shift,
+    max_shift: Annotated[float, typer.Option(help="largest expected shift, m", min=1)] = MAX_SHIFT,
     max_rotation: Annotated[
         float, typer.Option(help="largest expected rotation, degrees", min=0, max=45)
-    ] = DEFAULT_ROTATION_DEGREES,
+    ] = MAX_ROTATION_DEGREES,
     max_scaling: Annotated[
         float, typer.Option(help="largest expected change of scale, percent", min=0, max=30)
-    ] = 100 * DEFAULT_PRIOR.max_scaling,
+    ] = 100 * MAX_SCALING,
     as_json: options.AsJson = False,
 ) -> None:
     """Correct the position of orthophotos or map tiles, and write them as an AIM.
@@ -95,6 +91,7 @@ def align(
     from geoaim.base.files import atomic_files, write_figure
     from geoaim.imagery.alignment.before_after import draw_alignment
     from geoaim.imagery.alignment.pipeline import align_tiles
+    from geoaim.imagery.alignment.result import Prior
     from geoaim.imagery.tiles import Tiles
     from geoaim.tracks.changes import to_world
 
@@ -113,7 +110,7 @@ def align(
             gcps=gcps,
             resolution=resolution,
             crs=crs,
-            prior=Prior(max_shift, float(np.radians(max_rotation)), max_scaling / 100),
+            prior=Prior(max_shift, math.radians(max_rotation), max_scaling / 100),
             shift=None if shift is None else _parse_shift(shift),
             nodata=_parse_nodata(nodata),
             similarity=model == "similarity",
@@ -136,7 +133,7 @@ def _parse_shift(text: str) -> "Shift":
         [degrees] = turn or [0.0]
     except ValueError as error:
         raise ValueError(f"--shift {text!r} is not metres E,N or E,N,degrees: 2.5,-1") from error
-    return Shift(east, north, float(np.radians(degrees)))
+    return Shift(east, north, math.radians(degrees))
 
 
 def _parse_nodata(text: str | None) -> float | Literal["none"] | None:

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 import typer
 
 from geoaim.base.errors import warn
@@ -208,6 +207,8 @@ def _change_times(
 
 def _warn_of_derived_states(tracks: "Tracks", paths: list[Path]) -> None:
     """Warn where written states know of later rows: the format has no column for observed ones."""
+    import numpy as np
+
     if not np.array_equal(tracks.states, tracks.get_observed(), equal_nan=True):
         warn(
             f"headings and speeds, or positions between rows, are computed from all of "

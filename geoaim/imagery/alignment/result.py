@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.aim.position import CHI2_1D, CHI2_2D
+from geoaim.base.defaults import MAX_ROTATION_DEGREES, MAX_SCALING, MAX_SHIFT
 from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import transform_points
 from geoaim.mapping.registration.motion_models import Model
@@ -65,9 +66,9 @@ class Prior:
         ValueError: the shift is not positive, the rotation is beyond pi, or the scaling beyond 0.5.
     """
 
-    max_shift: float = 15.0  # metres
-    max_rotation: float = float(np.radians(5))  # radians
-    max_scaling: float = 0.05  # change of scale as a share: 0.05 is 5 %
+    max_shift: float = MAX_SHIFT  # metres
+    max_rotation: float = float(np.radians(MAX_ROTATION_DEGREES))  # radians
+    max_scaling: float = MAX_SCALING  # change of scale as a share
 
     def __post_init__(self) -> None:
         if not (
