@@ -38,6 +38,7 @@ class DetectorErrors:
     doubled: float = 0.0  # share of boxes that come twice
     lost_s: float = 0.0  # for how long each agent is hidden once
     flying_height: float | None = None  # m, from which agents with roofs are seen; None: flat ones
+    false_s: float = 0.0  # for how long a false box stays at its place; 0: for a frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,6 +203,8 @@ def detect_boxes(
     keep = np.exp(-1 / (FRAME_RATE * errors.lasting_s))
     lasting = errors.lasting_px * generator.standard_normal((agents, 4))
     limits = np.tile(np.array(size[::-1], float), 2)
+    stays = max(1, round(errors.false_s * FRAME_RATE))
+    standing: list[tuple[Float[Array, "n 4"], list[str]]] = []  # those of the last frames
     for step in range(steps):
         shown = np.flatnonzero(visible[:, step])
         hit = shown[~hidden[shown, step]]
@@ -210,14 +213,19 @@ def detect_boxes(
         lasting = keep * lasting + np.sqrt(1 - keep**2) * fresh
         found = boxes[hit, step] + lasting[hit]
         found = found + errors.noise_px * generator.standard_normal((len(hit), 4))
-        count = generator.binomial(max(len(shown), 1), errors.false)
+        count = generator.binomial(max(len(shown), 1), errors.false / stays)
         source = boxes[generator.choice(shown, count), step] if len(shown) else np.empty((0, 4))
         extent = source[:, 2:] - source[:, :2]
         corner = generator.uniform(0, 1, (len(source), 2)) * (limits[:2] - extent)
         false = np.concatenate([corner, corner + extent], axis=1)
+        kinds = [str(kind) for kind in generator.choice(types, len(false))]
+        standing = [*standing, (false, kinds)][-stays:]
+        false = np.concatenate([part for part, _ in standing])
+        if stays > 1:
+            false = false + errors.noise_px * generator.standard_normal(false.shape)
         rows = np.concatenate([found, false]).clip(0, limits)
         named = [types[agent] for agent in hit]
-        named += [str(kind) for kind in generator.choice(types, len(false))]
+        named += [kind for _, part in standing for kind in part]
         rows[:, 2:] = np.maximum(rows[:, 2:], rows[:, :2] + 1)
         frames.append(DetectedBoxes(rows, types=tuple(named) if errors.types else ()))
     return frames

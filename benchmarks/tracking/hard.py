@@ -22,11 +22,12 @@ from benchmarks.tracking.peers import list_peers
 from geoaim.base.errors import TracksError
 from geoaim.tracking.pipeline import track_boxes
 
-TEST_SEED = 3900  # those from 1900 and 2900 on have been judged before
+TEST_SEED = 4900  # those from 1900, 2900 and 3900 on have been judged before
 SIZE = (1080, 1920)
 PLACES: tuple[PlaceKind, ...] = ("junction", "roundabout")
 WITHOUT_HEIGHT = "geoaim, flying height not given"
 BURSTS = DetectorErrors(misses=0.15, burst=4.0)
+FALSE = DetectorErrors(false=0.05, false_s=0.6)
 # by name, the errors of the detector and of how many frames one is used
 CONDITIONS = {
     "plain": (DetectorErrors(), 1),
@@ -34,6 +35,8 @@ CONDITIONS = {
     "doubled": (DetectorErrors(doubled=0.3), 1),
     "lost for 4 s": (DetectorErrors(lost_s=4.0), 1),
     "2 frames per second": (DetectorErrors(), 12),
+    "false boxes of 0.6 s": (FALSE, 1),
+    "false boxes of 0.6 s, lost for 4 s": (replace(FALSE, lost_s=4.0), 1),
     "errors that last": (DetectorErrors(noise_px=1.0, lasting_px=3.0), 1),
     "roofs, from 100 m": (DetectorErrors(flying_height=100.0), 1),
     "all, 5 frames per second": (

@@ -1,6 +1,7 @@
 """Scores of tracks: HOTA and IDF1 as TrackEval has them, and errors of states in metres."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from benchmarks.tracking.cases import project_boxes
 from geoaim.base.geometry import wrap_angle
+from geoaim.tracking.association import find_max_gap
 from geoaim.tracks.tracks import Tracks
 
 MIN_IOU = 0.3  # of boxes whose states are compared
@@ -60,7 +62,35 @@ def score_tracks(truth: BoxView, found: BoxView) -> dict[str, Any]:
         (degrees), speed (m/s), acceleration (m/s²), length and width (m), with 90 % quantiles.
     """
     pairs, data = match_frames(truth, found)
-    return _judge_identities(data) | measure_errors(truth.tracks, found.tracks, pairs)
+    scores = _judge_identities(data) | measure_errors(truth.tracks, found.tracks, pairs)
+    return scores | judge_gaps(found.tracks, pairs, np.asarray(found.visible.any(axis=1)))
+
+
+def judge_gaps(found: Tracks, pairs: Array, kept: Bool[Array, "N"]) -> dict[str, int]:
+    """Judge the gaps that are bridged for longer than tracks are kept as the frames come.
+
+    Args:
+        found: the tracks, at the times of the frames.
+        pairs: (m, 3) agent, track and step of each state that agrees.
+        kept: which tracks are judged.
+
+    Returns:
+        How many gaps there are, and how many have the same agent before and after: that of most
+        states until the next gap. A false box is no agent, so that its gaps are not right.
+    """
+    if found.seen is None:
+        return {}
+    agent = np.full(found.present.shape, -1)
+    agent[pairs[:, 1], pairs[:, 2]] = pairs[:, 0]
+    longest = find_max_gap(float(found.times[1] - found.times[0]))
+    gaps = right = 0
+    for own, seen in zip(agent[kept], found.seen[kept], strict=True):
+        steps = np.flatnonzero(seen)
+        breaks = np.flatnonzero(np.diff(found.times[steps]) > longest) + 1
+        most = [np.bincount(part + 1).argmax() for part in np.split(own[steps], breaks)]
+        gaps += len(breaks)
+        right += sum(one == other > 0 for one, other in pairwise(most))
+    return {"bridged gaps": gaps, "of one agent": right}
 
 
 def compute_iou(one: Float[Array, "n 4"], other: Float[Array, "m 4"]) -> Float[Array, "n m"]:

@@ -30,6 +30,7 @@ class GroundDetections:
     # whether the frame's border may cut off the box: at the start and the end of each side
     cut: Bool[Array, "M 2 2"]
     resolution: Float[Array, " M"]  # metres per pixel there
+    view: Float[Array, " M"]  # ground that the whole frame shows at that resolution, m²
     score: Float[Array, " M"]  # confidence of the detector, 0 to 1; NaN if unknown
     types: Shaped[Array, " M"]  # agent types, "" if unknown
     roof_sigma: Float[Array, " M"]  # how far off the correction of a roof may be, m; 0 without one
@@ -107,6 +108,7 @@ def _place(
     near |= np.concatenate([boxes.get_at_border() for _, boxes in known])
     turned = near[:, END_CORNERS].any(axis=3)
     cut = np.where(oriented[:, None, None], turned, cut)
+    resolution = np.sqrt(extent.prod(axis=1) / np.maximum(pixels, 1e-9))
     return GroundDetections(
         step=step,
         position=position,
@@ -115,7 +117,8 @@ def _place(
         extent=extent,
         oriented=oriented,
         cut=cut,
-        resolution=np.sqrt(extent.prod(axis=1) / np.maximum(pixels, 1e-9)),
+        resolution=resolution,
+        view=resolution**2 * size[0] * size[1],
         score=np.concatenate([boxes.get_scores() for _, boxes in known]),
         types=np.concatenate([boxes.get_types() for _, boxes in known]),
         roof_sigma=np.zeros(len(step)),

@@ -1,5 +1,7 @@
 """Joining: tracks that were lost for longer, put together when the whole video is known."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
@@ -8,27 +10,31 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from geoaim.tracking.association import MIN_HITS, find_max_gap
+from geoaim.tracking.association import MIN_HITS, STANDING_SPEED, find_max_gap
 from geoaim.tracking.ground_detections import GroundDetections, select_detections
 from geoaim.tracking.kalman import TrackMotion, TrackRows, predict
 from geoaim.tracking.noise import SLOW_DT
-from geoaim.tracking.sizes import estimate_size
-from geoaim.tracks.agent_types import find_group
 
 MAX_GAP_S = 10.0  # between two tracks of one agent that moves
 # m²/s³; spectral densities of the acceleration of an agent that is lost, along its way and across:
 # it goes on as it was, changes its speed in its lane, or turns as well
 JOIN_NOISE = ((0.3, 0.3), (6.0, 0.3), (6.0, 25.0))
-PEDESTRIAN_SHARE = 0.01  # of these for pedestrians, who hardly change their walk
-MAX_DISTANCE = 25.0  # squared, in standard deviations
 MAX_END_DISTANCE = 9.0  # the same of an end of a track from what the rest of it tells
-STANDING_SPEED = 0.7  # m/s
 STANDING_SIGMAS = (0.5, 0.7)  # m and m/s, of what stood before and after, for however long
-# minus twice the log of: an end and a start inside the frame; less for each one at the border
-UNJOINED_COST, BORDER_GAIN = 34.0, 8.0
-LENGTH_SIGMA, GROUP_COST, TYPE_COST = 0.1, 10.0, 2.0  # the first of the logarithm of a length
-MIN_MOVING_SPEED, SIDE_SIGMA_M = 2.0, 0.2  # m/s, above which boxes tell it; m, of their sides
-TURNED_BACK, TURN_COST = -0.7, 10.0  # cosine of a turn while lost that few vehicles make
+TYPE_COST = 5.0  # minus twice the log of how seldom an agent's type changes
+MIN_MOVING_SPEED = 2.0  # m/s, above which a velocity tells a direction
+TURN_COST = 10.0  # the same of how seldom an agent turns back while it is lost
+ROUNDS = 20  # of weighing pairs and counting what is left; later ones change nothing
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """First or last detections that count of tracks; N of them."""
+
+    row: Int[Array, " N"]
+    time: Float[Array, " N"]  # s
+    at_border: Bool[Array, " N"]  # where the agent drives over it
+    told: Bool[Array, " N"]  # by the video's own first or last frame
 
 
 def find_false_ends(
@@ -79,9 +85,11 @@ def join_tracks(
 ) -> Int[Array, "N"]:
     """Join tracks that end and begin as one agent would, by one optimal assignment.
 
-    The cost of a pair is minus twice its log likelihood: how far the later one begins, in place and
-    velocity, from where the earlier one would then be, and how alike their lengths and types are.
-    Of several ways to go on, the likeliest counts. What stands may be lost for however long.
+    The cost of a pair is minus twice the log of the odds of one agent that was lost against one
+    that ended and another that began. How far the later one begins, in place and velocity, from
+    where the earlier one would then be tells for the first; how often agents begin and end in this
+    video, and how many of its tracks are false, for the second. That is counted in what is left
+    unjoined, until joins and counts agree. What stands may be lost for however long.
 
     Args:
         motion: smoothed motion of the tracks.
@@ -95,69 +103,132 @@ def join_tracks(
         The number of each track's agent, from 0.
     """
     count = len(types)
-    if count < 2:
-        return np.zeros(count, int)
-    counted = np.flatnonzero((rows.detection >= 0) & ~false[rows.detection])
-    bounds = np.searchsorted(rows.agent[counted], np.arange(count + 1))
-    first, last = counted[bounds[:-1]], counted[bounds[1:] - 1]
-    begin, end = times[rows.step[first]], times[rows.step[last]]
-    early, late = _list_pairs(motion, (first, last), begin, end)
-    gap = begin[late] - end[early]
-    ends, starts = last[early], first[late]
-    kinds = np.array(types)
-    groups = np.array([find_group(kind) for kind in types])
-    walks = (groups[early] == "pedestrian") & (groups[late] == "pedestrian")
-    share = np.where(walks, PEDESTRIAN_SHARE, 1.0)
-    cost, distance = _compare_motion(motion, ends, starts, gap, share)
-    stands = _find_standing(motion, ends) & _find_standing(motion, starts)
-    fixed = np.diag(np.square(STANDING_SIGMAS)) + 2 * motion.covariance[starts]
-    resting, near = _compare(motion.mean[starts] - motion.mean[ends], fixed, fixed)
-    better = stands & ((resting < cost) | (gap > MAX_GAP_S))
-    cost, distance = np.where(better, resting, cost), np.where(better, near, distance)
-    length = _measure_lengths(detections, rows, motion, types)
-    change = np.nan_to_num((length[early] - length[late]) / LENGTH_SIGMA) ** 2
-    cost += np.minimum(change, GROUP_COST)
+    first, last = _find_edges(motion, rows, detections, times, ~false)
+    early, late = _list_pairs(motion, first, last)
+    if not len(early):
+        return np.arange(count)
+    gap = first.time[late] - last.time[early]
+    cost = _compare_motion(motion, last.row[early], first.row[late], gap)
     starting, ending = _find_directions(motion, rows)
-    back = (ending[early] * starting[late]).sum(axis=1) < TURNED_BACK
-    cost += TURN_COST * back
-    cost += TYPE_COST * (kinds[early] != kinds[late])
-    cost += GROUP_COST * (groups[early] != groups[late])
-    edges = [select_detections(detections, rows.detection[part]) for part in (ends, starts)]
-    outward = [part.find_outward() for part in edges]
-    left = (motion.mean[ends, 1] * outward[0]).sum(axis=1) > STANDING_SPEED
-    came = (motion.mean[starts, 1] * outward[1]).sum(axis=1) < -STANDING_SPEED
-    cost -= UNJOINED_COST - BORDER_GAIN * left - BORDER_GAIN * came
-    good = (cost < 0) & (distance < MAX_DISTANCE)
-    return _number(*_assign(early[good], late[good], cost[good]), count)
+    cost += TURN_COST * np.maximum(-(ending[early] * starting[late]).sum(axis=1), 0)
+    cost += TYPE_COST * (np.array(types)[early] != np.array(types)[late])
+    view = detections.view[rows.detection[first.row]]
+    birth = _find_birth_density(motion.mean[first.row, 1], np.maximum(view, 1e-9), types)
+    cost += 2 * (np.log(MAX_GAP_S) + birth[late])
+    border = (detections.may_be_cut.sum() + 1) / (len(false) + 2)
+    duration = float(times[-1] - times[0])
+    chance = np.zeros(len(early))
+    for _ in range(ROUNDS):
+        followed, follows = (np.bincount(row, chance, count) for row in (early, late))
+        ending, beginning = _count_unjoined(first, last, (followed, follows), duration, border)
+        odds = cost + 2 * (ending[early] + beginning[late])
+        weight = np.exp(-odds / 2)
+        others = np.bincount(early, weight, count)[early] + np.bincount(late, weight, count)[late]
+        chance = weight / (1 + others - weight)
+    good = odds < 0
+    links = _assign(early[good], late[good], odds[good])
+    return _number(*links, count)
+
+
+def _find_edges(
+    motion: TrackMotion,
+    rows: TrackRows,
+    detections: GroundDetections,
+    times: Float[Array, "T"],
+    counts: Bool[Array, "M"],
+) -> tuple[_Edges, _Edges]:
+    """Find the first and the last detection that counts of each track."""
+    counted = np.flatnonzero((rows.detection >= 0) & counts[rows.detection])
+    bounds = np.searchsorted(rows.agent[counted], np.arange(len(rows.bounds)))
+    soon = find_max_gap(float(times[1] - times[0])) if len(times) > 1 else 0.0
+    found = []
+    for sense, row in ((-1, counted[bounds[:-1]]), (1, counted[bounds[1:] - 1])):
+        outward = select_detections(detections, rows.detection[row]).find_outward()
+        speed = sense * (motion.mean[row, 1] * outward).sum(axis=1)
+        time = times[rows.step[row]]
+        told = time < times[0] + soon if sense < 0 else time > times[-1] - soon
+        found.append(_Edges(row, time, speed > STANDING_SPEED, told))
+    return found[0], found[1]
+
+
+def _find_birth_density(
+    velocity: Float[Array, "N 2"], view: Float[Array, "N"], types: tuple[str, ...]
+) -> Float[Array, "N"]:
+    """Log density of a new agent at each track's start, per m² and (m/s)².
+
+    It begins anywhere in what the frame shows, and as fast as those of its type do.
+    """
+    square = (velocity**2).sum(axis=1)
+    _, kind = np.unique(types, return_inverse=True)
+    # of each coordinate; one more, of 1 m/s, stands for those that are not seen
+    variance = ((np.bincount(kind, square) / 2 + 1) / (np.bincount(kind) + 1))[kind]
+    return np.asarray(-np.log(view * 2 * np.pi * variance) - square / variance / 2)
+
+
+def _count_unjoined(
+    first: _Edges,
+    last: _Edges,
+    joined: tuple[Float[Array, "N"], Float[Array, "N"]],
+    duration: float,
+    border: float,
+) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+    """Log odds that each track's agent ends for good, and rates at which others begin, 1/s.
+
+    Tracks that neither begin nor end as agents do may be false: how many they are, and how long
+    they last, tells how much each of them counts. To every count one is added, so that none is
+    certain.
+
+    Args:
+        first: of the tracks.
+        last: of the tracks.
+        joined: chances that each track goes on in another one, and that it is what goes on.
+        duration: of the video, s.
+        border: share of the detections that are at the frame's border.
+
+    Returns:
+        For the end and the start of each track.
+    """
+    gone, new = 1 - joined[0], 1 - joined[1]
+    inside = ~(first.at_border | first.told | last.at_border | last.told)
+    alone = inside * gone * new
+    ending, beginning = np.zeros((2, len(inside)))
+    for at_border, share in ((True, border), (False, 1 - border)):
+        ends = ~last.told & (last.at_border == at_border)
+        begins = ~first.told & (first.at_border == at_border)
+        lost, left = joined[0][ends].sum() + 1, (gone - alone)[ends].sum() + 1
+        came = (new - alone)[begins].sum() + 1
+        ending[ends], beginning[begins] = np.log(left / lost), np.log(came / duration / share)
+    span = last.time - first.time
+    lasting = ((alone * span).sum() + 1) / (alone.sum() + 1)  # s
+    # how many are false, against agents that begin and end inside, of any length
+    false = alone.sum() * np.exp(-span / lasting) / lasting
+    doubt = np.log1p(inside * false * len(inside) * duration / (left * came))
+    return ending + doubt, beginning + doubt
 
 
 def _list_pairs(
-    motion: TrackMotion,
-    edges: tuple[Int[Array, "N"], Int[Array, "N"]],
-    begin: Float[Array, "N"],
-    end: Float[Array, "N"],
+    motion: TrackMotion, first: _Edges, last: _Edges
 ) -> tuple[Int[Array, " p"], Int[Array, " p"]]:
     """List pairs of an earlier and a later track: soon after it, or at its place."""
-    first, last = edges
-    order = np.argsort(begin)
-    low = np.searchsorted(begin[order], end, side="right")
-    high = np.searchsorted(begin[order], end + MAX_GAP_S, side="right")
+    order = np.argsort(first.time)
+    low = np.searchsorted(first.time[order], last.time, side="right")
+    high = np.searchsorted(first.time[order], last.time + MAX_GAP_S, side="right")
     pairs = {
         (early, int(late))
         for early, (start, stop) in enumerate(zip(low.tolist(), high.tolist(), strict=True))
         for late in order[start:stop]
     }
-    resting = np.flatnonzero(_find_standing(motion, last))
-    later = np.flatnonzero(_find_standing(motion, first))
+    resting = np.flatnonzero(_find_standing(motion, last.row))
+    later = np.flatnonzero(_find_standing(motion, first.row))
     if len(resting) and len(later):
-        near = cKDTree(motion.mean[first[later], 0]).query_ball_point(
-            motion.mean[last[resting], 0], 4 * STANDING_SIGMAS[0]
+        near = cKDTree(motion.mean[first.row[later], 0]).query_ball_point(
+            motion.mean[last.row[resting], 0], 4 * STANDING_SIGMAS[0]
         )
         pairs |= {
             (int(early), int(later[place]))
             for early, places in zip(resting, near, strict=True)
             for place in places
-            if begin[later[place]] > end[early]
+            if first.time[later[place]] > last.time[early]
         }
     found = np.array(sorted(pairs), int).reshape(-1, 2)
     return found[:, 0], found[:, 1]
@@ -168,44 +239,40 @@ def _find_standing(motion: TrackMotion, rows: Int[Array, " p"]) -> Bool[Array, "
 
 
 def _compare_motion(
-    motion: TrackMotion,
-    ends: Int[Array, " p"],
-    starts: Int[Array, " p"],
-    gap: Float[Array, " p"],
-    share: Float[Array, " p"],
-) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+    motion: TrackMotion, ends: Int[Array, " p"], starts: Int[Array, " p"], gap: Float[Array, " p"]
+) -> Float[Array, " p"]:
     """Compare where later tracks start with where earlier ones would then be, as `_compare`.
 
-    Each pair has its share of the noise.
+    Of several ways to go on the likeliest counts; what stands before and after may stay.
     """
     before, after = motion.mean[ends], motion.mean[starts]
     way = before[:, 1] + after[:, 1]
     way = way / np.maximum(np.hypot(*way.T), 1e-9)[:, None]
     turned = np.stack([way, np.column_stack([-way[:, 1], way[:, 0]])], axis=2)
-    found = []
-    for along, across in JOIN_NOISE:
+    stands = _find_standing(motion, ends) & _find_standing(motion, starts)
+    fixed = np.diag(np.square(STANDING_SIGMAS)) + 2 * motion.covariance[starts]
+    costs = [np.where(stands, _compare(after - before, fixed, fixed), np.inf)]
+    for noises in JOIN_NOISE:
         spreads = []
-        for noise in (along, across):
-            ahead, spread = predict(before, motion.covariance[ends], gap, noise * share)
+        for noise in noises:
+            ahead, spread = predict(before, motion.covariance[ends], gap, np.full(len(gap), noise))
             spreads.append(spread + motion.covariance[starts])
-        found.append(_compare((after - ahead) @ turned, *spreads))
-    costs, distances = (np.stack(part) for part in zip(*found, strict=True))
-    best = costs.argmin(axis=0)[None]
-    return np.take_along_axis(costs, best, 0)[0], np.take_along_axis(distances, best, 0)[0]
+        cost = _compare((after - ahead) @ turned, *spreads)
+        costs.append(np.where((gap <= MAX_GAP_S) | ~stands, cost, np.inf))
+    return np.asarray(np.min(costs, axis=0))
 
 
 def _compare(
     offset: Float[Array, "p 2 2"], along: Float[Array, "p 2 2"], across: Float[Array, "p 2 2"]
-) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
-    """Minus twice the log density of offsets in place and velocity; their squared distance.
+) -> Float[Array, " p"]:
+    """Minus twice the log density of offsets in place and velocity.
 
     The covariances of both are those of each coordinate.
     """
     spread = np.stack([along, across], axis=1)
     parts = offset.swapaxes(1, 2)[..., None]
     distance = (parts * np.linalg.solve(spread, parts)).sum(axis=(1, 2, 3))
-    density = np.log(4 * np.pi**2 * np.linalg.det(spread)).sum(axis=1)
-    return distance + density, distance
+    return np.asarray(distance + np.log(4 * np.pi**2 * np.linalg.det(spread)).sum(axis=1))
 
 
 def _find_directions(
@@ -221,24 +288,6 @@ def _find_directions(
     for number, edge in enumerate((bounds[:-1][moves], bounds[1:][moves] - 1)):
         found[number, moves] = velocity[moving[edge]] / speed[moving[edge], None]
     return found[0], found[1]
-
-
-def _measure_lengths(
-    detections: GroundDetections, rows: TrackRows, motion: TrackMotion, types: tuple[str, ...]
-) -> Float[Array, "N"]:
-    """Measure the logarithm of each track's length, by whole boxes where it moves; or NaN."""
-    velocity = motion.mean[:, 1]
-    usable = (rows.detection >= 0) & (np.hypot(*velocity.T) > MIN_MOVING_SPEED)
-    usable &= ~detections.may_be_cut[rows.detection]
-    direction = np.arctan2(velocity[:, 1], velocity[:, 0])
-    found = np.full(len(types), np.nan)
-    for number, part in enumerate(rows.list_parts()):
-        seen = rows.detection[part][usable[part]]
-        if len(seen) >= MIN_HITS:
-            turn = direction[part][usable[part]] - detections.axis[seen]
-            extent = detections.extent[seen]
-            found[number] = np.log(estimate_size(extent, turn, SIDE_SIGMA_M, types[number])[0])
-    return found
 
 
 def _assign(

@@ -182,6 +182,28 @@ def test_two_that_stood_on_opposite_lanes_are_not_swapped():
     assert np.nanmax(np.nanmax(found.states[..., 1], 1) - np.nanmin(found.states[..., 1], 1)) < 0.5
 
 
+def test_false_boxes_that_last_for_half_a_second_are_not_joined():
+    generator = np.random.default_rng(5100)
+    steps, count = 200, 14
+    truth = make_truth(drive_straight(5, 30, 0.0, 8.0, steps=steps))
+    begin = generator.integers(0, steps - 15, count)
+    place = generator.uniform([100, 100], [1500, 1100], (count, 2))
+
+    def add_bursts(frames):
+        shown = []
+        for step, frame in enumerate(frames):
+            middle = place[(begin <= step) & (step < begin + 15)]
+            middle = middle + generator.normal(0, 2, middle.shape)
+            false = np.column_stack([middle - [45, 19], middle + [45, 19]])
+            boxes = np.concatenate([frame.boxes, false])
+            shown.append(DetectedBoxes(boxes, types=("car",) * len(boxes)))
+        return shown
+
+    found = track(truth, DetectorErrors(0.0, 0.0, 1.0), change=add_bursts)
+    assert len(found.ids) == 1 + count
+    assert (found.present.sum(axis=1) <= 15).sum() == count
+
+
 def test_a_false_box_does_not_bend_the_gap_after_it():
     truth = make_truth(drive_straight(5, 30, 0.0, 8.0, steps=200))
 
