@@ -13,7 +13,7 @@ from torch import Tensor
 
 from geoaim.base.geometry import to_opencv
 from geoaim.rendering import Ground, OrientedBoxes, View, render
-from geoaim.rendering.rasterization import TRIANGLE_SHARE
+from geoaim.rendering.coverage import TRIANGLE_SHARE
 
 LATTICE_POINTS, LATTICE_GENERATOR = 377, 233  # a Fibonacci lattice in each pixel
 MAX_POINTS = 2_000_000  # points that are rendered at once

@@ -1,9 +1,9 @@
 """Render bird's-eye pictures of an image map with boxes on it, by torch, on any device.
 
 Pictures are batched and differentiable. A scene seen from above is one textured plane and boxes in
-a fixed paint order: no depth, no lighting. A box is evaluated only at the pixels it touches, whose
-coverage is exact, so that gradients with respect to its pose and size are exact too. The ground of
-all views is one call of `grid_sample`.
+layers: no depth, no lighting. A box is evaluated only at the pixels it touches, of which it takes
+the share of `coverage`; gradients are those of what is drawn. The ground of all views is one call
+of `grid_sample`.
 """
 
 from collections.abc import Iterable, Sequence
@@ -66,10 +66,10 @@ def render(
     layers = list(boxes)
     for layer in layers:
         for colours in (layer.colours, layer.heading_colours):
-            if colours is not None and colours.shape[-1] != len(ground.image):
+            if colours is not None and colours.shape[-1] != ground.image.shape[0]:
                 channels = colours.shape[-1]
                 raise ValueError(
-                    f"colours have {channels} channels and the ground has {len(ground.image)}; "
+                    f"colours have {channels} channels and the ground has {ground.image.shape[0]}; "
                     "give as many"
                 )
     return _draw(Drawing(view, cameras, ground, present), layers)

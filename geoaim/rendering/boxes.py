@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class OrientedBoxes:
-    """Oriented boxes in B scenes; later ones are painted over earlier ones.
+    """Oriented boxes in B scenes; where they overlap, they are mixed by their shares of a pixel.
 
     Poses may have more axes of scenes, or none, as the cameras of `render`.
     Sizes, colours and presence broadcast: colours may be (C,), (1, C), (A, C) or (B, A, C).

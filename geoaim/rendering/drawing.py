@@ -1,18 +1,24 @@
 """What is drawn, and how: the ground is sampled, then fragments of boxes are painted on it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache, partial
 from typing import Any
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
+from numpy import ndarray as Array
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from geoaim.rendering.boxes import OrientedBoxes, StackedBoxes
-from geoaim.rendering.ground import Ground, View, apply_matrix
+from geoaim.rendering.fragments import Canvas
+from geoaim.rendering.ground import Ground, View
 from geoaim.rendering.input_checks import check_cameras
-from geoaim.rendering.rasterization import PixelBoxes, composite, project_poses, rasterize
+from geoaim.rendering.painting import paint_boxes
 
 
 def render_coverage(
@@ -54,7 +60,7 @@ def flatten_cameras(
     if present is not None:
         absent = ~present.reshape(-1, 1)
         flat = torch.where(absent, 0.0, flat)
-    if not torch.isfinite(flat).all():
+    if not math.isfinite(flat.numpy(force=True).sum()):  # a sum is where all numbers are
         raise ValueError("a camera's pose is not finite; mask absent cameras by `present`")
     return flat, absent
 
@@ -64,39 +70,73 @@ def sample_ground(
 ) -> Float[Tensor, "V C H W"]:
     """Sample textures bilinearly at all pixels; each of M maps has V / M consecutive views."""
     height, width = image.shape[-2:]
-    scale = image.new_tensor([2 / width, 2 / height])  # grid_sample: -1 to 1
-    maps, views = len(ground.regions), len(cameras)
+    maps, views = ground.regions.shape[0], cameras.shape[0]
     gradients = cameras.requires_grad or image.requires_grad
     if maps == 1 and views > 1 and cameras.stride(0) == 0 and not gradients:  # one, expanded
         one = sample_ground(view, cameras[:1], ground, image)
         return one.expand(views, -1, -1, -1).contiguous()
-    matrices = ground.image_from_world
+    given = view, (height, width), cameras, ground.image_from_world
+    # without gradients a call of `apply` would take longer than the sums
+    make = _Grid.apply if torch.is_grad_enabled() else partial(_Grid.forward, None)
+    grid = make(*given)  # type: ignore[no-untyped-call]
     if maps > 1:
-        matrices = matrices.repeat_interleave(len(cameras) // maps, dim=0)
-    linear, offset = matrices[..., :2] * scale[:, None], matrices[..., 2] * scale - 1
-    cosine, sine = cameras[:, 2].cos(), cameras[:, 2].sin()
-    right = apply_matrix(linear, torch.stack([sine, -cosine], dim=1))  # (V, 2) step for one metre
-    down = apply_matrix(linear, torch.stack([-cosine, -sine], dim=1))
-    centre = apply_matrix(linear, cameras[:, :2])
-    columns, rows = (
-        (torch.arange(count).to(cameras) + 0.5 - count / 2) * view.resolution
-        for count in (view.width, view.height)
-    )
-    # (V, 2 W) both coordinates of each column in turn, the layout that grid_sample reads
-    across = (columns[:, None] * right[:, None] + (centre + offset)[:, None]).flatten(1)
-    grid = torch.addcmul(across[:, None], rows[None, :, None], down.repeat(1, view.width)[:, None])
-    grid = grid.view(len(cameras), view.height, view.width, 2)
-    if maps > 1:
-        edges = ground.regions.repeat_interleave(len(cameras) // maps, dim=0).to(cameras)
+        scale = image.new_tensor([2 / width, 2 / height])  # grid_sample: -1 to 1
+        edges = ground.regions.repeat_interleave(views // maps, dim=0).to(cameras)
         low, high = (edges[:, :2] + 0.5) * scale - 1, (edges[:, 2:] - 0.5) * scale - 1
         grid = torch.minimum(torch.maximum(grid, low[:, None, None]), high[:, None, None])
-    options: dict[str, Any] = {"padding_mode": "border", "align_corners": False}
     if not image.requires_grad:  # the texture is shared, not copied
-        return F.grid_sample(image.expand(len(cameras), *image.shape), grid, **options)
+        return torch.grid_sampler(image.expand(views, *image.shape), grid, 0, 1, False)
     # its gradient would be copied for each view: all views are one image
-    flat = F.grid_sample(image[None], grid.view(1, -1, view.width, 2), **options)
-    pictures = flat.view(len(image), len(cameras), view.height, view.width)
+    flat = torch.grid_sampler(image[None], grid.reshape(1, -1, view.width, 2), 0, 1, False)
+    pictures = flat.view(-1, views, view.height, view.width)
     return pictures.transpose(0, 1).contiguous()
+
+
+class _Grid(torch.autograd.Function):
+    """The places of all pixels in a texture, from -1 to 1, for `grid_sampler`."""
+
+    @staticmethod
+    def forward(ctx: Any, view: View, size: tuple[int, int], cameras: Any, matrices: Any) -> Any:
+        poses, maps = cameras.numpy(force=True), matrices.numpy(force=True)
+        scale = np.array([[2 / size[1]], [2 / size[0]]], maps.dtype)
+        turn = np.empty((len(poses), 2, 3), maps.dtype)  # right, down and place, metres
+        turn[:, 0, 0], turn[:, 1, 0] = np.sin(poses[:, 2]), -np.cos(poses[:, 2])
+        turn[:, 0, 1], turn[:, 1, 1] = turn[:, 1, 0], -turn[:, 0, 0]
+        turn[:, :, 2] = poses[:, :2]
+        maps = maps * scale
+        if 1 < len(maps) < len(poses):
+            maps = np.repeat(maps, len(poses) // len(maps), axis=0)
+        places = maps[:, :, :2] @ turn
+        places[:, :, 2] += maps[:, :, 2] - 1
+        columns, rows = (_count(n, view.resolution, maps.dtype) for n in (view.width, view.height))
+        across = places[:, :, 0:1, None] * columns + places[:, :, 2:3, None]
+        down = places[:, :, 1:2, None] * rows[:, None]
+        if ctx is not None:
+            ctx.kept = columns, rows, turn, maps, scale, matrices.shape, cameras.device
+        parts = (torch.from_numpy(part).to(cameras.device) for part in (across, down))
+        return torch.add(*parts).permute(0, 2, 3, 1)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Any) -> Any:
+        columns, rows, turn, maps, scale, shape, device = ctx.kept
+        by_column, by_row = (grad.sum(dim).numpy(force=True) for dim in (1, 2))  # (V, W or H, 2)
+        by_place = np.stack([columns @ by_column, rows @ by_row, by_column.sum(1)], axis=-1)
+        by_turn = maps[:, :, :2].swapaxes(1, 2) @ by_place
+        by_maps = by_place @ turn.swapaxes(1, 2)
+        by_maps = np.concatenate([by_maps, by_place[:, :, 2:]], axis=2) * scale
+        by_maps = by_maps.reshape(shape[0], -1, 2, 3).sum(1) if shape[0] else by_maps
+        sine, cosine = turn[:, 0, 0], -turn[:, 1, 0]
+        heading = cosine * (by_turn[:, 0, 0] - by_turn[:, 1, 1])
+        heading += sine * (by_turn[:, 1, 0] + by_turn[:, 0, 1])
+        by_camera = np.concatenate([by_turn[:, :, 2], heading[:, None]], axis=1)
+        return None, None, *(torch.from_numpy(a).to(device) for a in (by_camera, by_maps))
+
+
+@lru_cache(maxsize=64)
+def _count(count: int, step: float, dtype: Any) -> Float[Array, "n"]:
+    """Count the places of a picture's columns or rows from its middle."""
+    return ((np.arange(count) + 0.5 - count / 2) * step).astype(dtype)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,52 +189,12 @@ def draw(drawing: Drawing, boxes: StackedBoxes | None) -> Float[Tensor, "V C H W
         ValueError: the pose of a camera or of a present box is not finite, or a box's size is not
             positive.
     """
-    view = drawing.view
     cameras, absent = flatten_cameras(drawing.cameras, drawing.present)
-    pictures = sample_ground(view, cameras, drawing.ground, drawing.ground.image)
+    pictures = sample_ground(drawing.view, cameras, drawing.ground, drawing.ground.image)
     if drawing.planes:
         pictures = F.pad(pictures, (0, 0, 0, 0, 0, drawing.planes))
     if boxes is not None:
-        projected = _project_boxes(drawing, boxes, cameras, pictures.shape[1])
-        pictures = composite(pictures.contiguous(), rasterize(view, projected))
+        present = None if absent is None else ~absent.numpy(force=True)
+        canvas = Canvas(drawing.view, cameras.numpy(force=True), present, drawing.planes)
+        pictures = paint_boxes(canvas, boxes, pictures.contiguous(), cameras)
     return pictures if absent is None else torch.where(absent[..., None, None], 0.0, pictures)
-
-
-def _project_boxes(
-    drawing: Drawing, boxes: StackedBoxes, cameras: Float[Tensor, "V 3"], channels: int
-) -> PixelBoxes:
-    """Project the present boxes, view by view in paint order; absent ones get no gradient."""
-    view, count = drawing.view, boxes.poses.shape[1]
-    views_a_scene = len(cameras) // max(1, len(boxes.poses))
-    present = boxes.present
-    if present is None:
-        present = torch.ones_like(boxes.poses[..., 0], dtype=torch.bool)
-    present = present.repeat_interleave(views_a_scene, dim=0)  # (V, N)
-    if drawing.present is not None:
-        present = present & drawing.present.reshape(-1, 1)
-    camera, column = present.nonzero().unbind(1)
-    index = camera // max(1, views_a_scene) * count + column
-    poses, sizes, colours, triangle_colours = (
-        values.expand(len(boxes.poses), -1, -1).flatten(0, 1).index_select(0, index)
-        for values in (boxes.poses, boxes.sizes, boxes.colours, boxes.triangle_colours)
-    )
-    if not (torch.isfinite(torch.cat([poses, sizes], dim=1)).all() and (sizes > 0).all()):
-        raise ValueError(
-            "a box that is present has a pose that is not finite, or a size that is not a positive "
-            "number; mask absent ones by `present`"
-        )
-    centre, axis = project_poses(view, cameras.index_select(0, camera), poses)
-    counts = torch.tensor(boxes.counts, device=index.device)
-    layer = torch.repeat_interleave(counts)[column]
-    plane = camera * channels
-    if drawing.planes:
-        plane = plane + channels - drawing.planes + layer
-    return PixelBoxes(
-        first_pixel=plane * view.height * view.width,
-        centre=centre,
-        axis=axis,
-        sizes=sizes / view.resolution,
-        colours=colours,
-        triangle_colours=triangle_colours,
-        has_triangle=torch.tensor(boxes.has_triangles, device=index.device)[layer],
-    )

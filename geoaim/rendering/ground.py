@@ -52,6 +52,9 @@ class Ground:
         averaged_over: metres to a side, by `prefilter_ground`; 0: not averaged.
         finest: metres per pixel of the finest texture; infinite: not known, or a plain colour.
         world: the plane of the metres of all maps; None: not known, or there are several.
+
+    Raises:
+        ValueError: a transform is not finite, or a region lies beyond the image.
     """
 
     image: Float[Tensor, "C h w"]
@@ -61,6 +64,15 @@ class Ground:
     averaged_over: float = 0.0
     finest: float = math.inf
     world: World | None = None
+
+    def __post_init__(self) -> None:
+        limits = self.regions.new_tensor(self.image.shape[:0:-1]).repeat(2)
+        is_inside = (self.regions >= 0) & (self.regions <= limits)
+        if not (is_inside.all() and torch.isfinite(self.image_from_world).all()):
+            raise ValueError(
+                "the ground's image_from_world is not finite, or its regions lie beyond its image; "
+                "make it by `make_ground`"
+            )
 
     @property
     def bounds(self) -> Float[Tensor, "M 2 2"]:

@@ -29,17 +29,10 @@ def check_cameras(
             f"cameras have shape {tuple(cameras.shape)}; (B, 3), or (B, A, 3) of A views of each "
             "scene, of x, y and heading is needed"
         )
-    views, maps = len(cameras), len(ground.regions)
+    views, maps = cameras.shape[0], ground.regions.shape[0]
     if maps not in (1, views):
         raise ValueError(
             f"the ground has {maps} maps for {views} views; choose one a view by `Ground.select`"
-        )
-    limits = ground.regions.new_tensor(ground.image.shape[:0:-1]).repeat(2)
-    is_inside = (ground.regions >= 0) & (ground.regions <= limits)
-    if not (is_inside.all() and torch.isfinite(ground.image_from_world).all()):
-        raise ValueError(
-            "the ground's image_from_world is not finite, or its regions lie beyond its image; "
-            "make it by `make_ground`"
         )
     if present is not None:
         _check_mask(present)
@@ -66,9 +59,10 @@ def check_layers(layers: Sequence[OrientedBoxes], cameras: Float[Tensor, "*B 3"]
     for layer in layers:
         tensors = (layer.poses, layer.sizes, layer.colours, layer.heading_colours)
         _check_dtypes(cameras.dtype, *(tensor.dtype for tensor in tensors if tensor is not None))
-        if len(layer.poses) != len(cameras):
+        if layer.poses.shape[0] != cameras.shape[0]:
             raise ValueError(
-                f"boxes are given for {len(layer.poses)} views and {len(cameras)} cameras; one each"
+                f"boxes are given for {layer.poses.shape[0]} views and {cameras.shape[0]} cameras; "
+                "one each"
             )
         shapes = tuple(layer.poses.shape), tuple(layer.sizes.shape)
         if layer.poses.ndim != 3 or (layer.poses.shape[-1], layer.sizes.shape[-1]) != (3, 2):

@@ -20,7 +20,6 @@ from geoaim.rendering import (
     render_layers,
 )
 from geoaim.rendering.prefiltering import _compute_weights
-from geoaim.rendering.rasterization import find_pixels
 
 NORTH_UP = torch.tensor([[2.0, 0.0, 32.0], [0.0, -2.0, 32.0]], dtype=torch.float64)
 
@@ -61,7 +60,12 @@ def test_picture_agrees_with_the_supersampled_reference(resolution):
     result = render(view, cameras, plain, [boxes])
     apart = (result - supersample(view, cameras, plain, boxes)).abs() * 255
     assert apart.mean() < 0.2
-    assert apart.max() < 8
+    assert apart.max() < 30  # at the tips of triangles
+    plain_boxes = replace(boxes, heading_colours=None)
+    result = render(view, cameras, plain, [plain_boxes])
+    apart = (result - supersample(view, cameras, plain, plain_boxes)).abs() * 255
+    assert apart.mean() < 0.1
+    assert apart.max() < 9  # at corners
 
 
 def test_forward_is_up_and_left_is_left():
@@ -89,13 +93,13 @@ def test_pixel_of_the_ground_lies_where_its_transform_maps_it():
     assert (4.5 + right, 4.0 + ahead) == (6.75, 5.75)
 
 
-def test_later_boxes_and_layers_are_painted_over_earlier_ones():
+def test_boxes_of_a_layer_are_mixed_and_later_layers_are_painted_over_them():
     pose = torch.zeros(1, 2, 3)
     two = OrientedBoxes(pose, torch.full((2, 2), 4.0), torch.eye(3)[:2])
     top = OrientedBoxes(pose[:, :1], torch.full((1, 2), 2.0), torch.eye(3)[2:])
     picture = render(View(8, 8, 1.0), torch.zeros(1, 3), _single(0.0), [two, top])[0]
     assert picture[:, 4, 4].tolist() == [0, 0, 1]
-    assert picture[:, 2, 2].tolist() == [0, 1, 0]
+    assert picture[:, 2, 2].tolist() == [0.5, 0.5, 0]
 
 
 def test_absent_boxes_are_not_drawn_and_may_be_nan():
@@ -126,7 +130,7 @@ def test_gradients_agree_with_finite_differences():
         return (weight * render(view, cameras, ground, [layer])).sum()
 
     given = [x.clone().requires_grad_() for x in (cameras, boxes.poses, boxes.sizes, boxes.colours)]
-    assert torch.autograd.gradcheck(loss, given, eps=1e-6, atol=2e-4, rtol=2e-3)
+    assert torch.autograd.gradcheck(loss, given, eps=1e-6, atol=1e-6, rtol=1e-6)
 
 
 def test_gradient_by_the_texture_is_zero_outside_the_view():
@@ -152,7 +156,7 @@ def test_overlapping_boxes_have_right_gradients():
         )
         return (weight * picture).sum()
 
-    assert torch.autograd.gradcheck(loss, poses.requires_grad_(), eps=1e-6, atol=2e-4)
+    assert torch.autograd.gradcheck(loss, poses.requires_grad_(), eps=1e-6, atol=1e-6, rtol=1e-6)
 
 
 def test_pixels_beyond_the_ground_are_grey_and_not_covered():
@@ -222,15 +226,6 @@ def test_edges_on_the_borders_of_pixels_have_gradients(size):
     assert float(area.detach()) == pytest.approx(size[0] * size[1])
     assert of_place.abs().max() < 1e-6
     torch.testing.assert_close(of_size[0].flip(0), box[0].detach(), rtol=0.06, atol=0)
-
-
-def test_long_thin_box_touches_few_pixels():
-    with torch.no_grad():
-        axis = torch.tensor([[0.8, -0.6]])
-        view, middle = View(512, 512, 1.0), torch.tensor([[256.0, 256.0]])
-        owner, place = find_pixels(view, middle, axis, torch.tensor([[400.0, 1.0]]))
-    assert 400 < len(owner) < 400 * 3.5
-    assert len(torch.unique(place, dim=0)) == len(place)
 
 
 def test_path_has_no_gaps_where_its_lines_meet():
@@ -329,7 +324,7 @@ def test_second_derivatives_are_refused():
     poses = boxes.poses.clone().requires_grad_()
     picture = render(View(16, 16, 1.0), cameras, _ground(), [replace(boxes, poses=poses)])
     (first,) = torch.autograd.grad(picture.square().sum(), poses, create_graph=True)
-    with pytest.raises(RuntimeError, match="first derivatives only"):
+    with pytest.raises(RuntimeError, match="once_differentiable"):
         first.sum().backward()
 
 

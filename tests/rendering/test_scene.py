@@ -137,7 +137,7 @@ def test_each_layer_shows_one_agent_type():
     areas = dict(zip(names, planes[3:].sum((1, 2)) * view.resolution**2, strict=True))
     assert names == ["ego", *("vehicle", "pedestrian", "cyclist", "other"), *STATES]
     assert float(areas["ego"]) == pytest.approx(4.5 * 1.8 * (1 - 0.35 / 4), rel=1e-3)
-    assert float(areas["pedestrian"]) == pytest.approx(0.5 * 0.6 * (1 - 0.35 / 4), rel=1e-3)
+    assert float(areas["pedestrian"]) == pytest.approx(0.5 * 0.6 * (1 - 0.35 / 4), rel=0.08)  # 2 px
     assert float(areas["red"]) == pytest.approx(np.hypot(4, 4) * 1.0, rel=1e-3)
     assert not any(areas[name] for name in ("vehicle", "cyclist", "other", "yellow"))
     plain = render(view, scene.poses[0, step], scene.ground)[0]
