@@ -121,47 +121,19 @@ def _split(body: Bool[Array, "h w"], resolution: float) -> list[Bool[Array, "h w
 def _join(
     parts: list[Bool[Array, "h w"]], group: Bool[Array, "h w"], resolution: float
 ) -> list[Bool[Array, "h w"]]:
-    """Join parts of a dark car whose roof looks like shadow: all of their common box differs.
-
-    Pairs that reach farther than a car does are not fitted, nor is any pair twice.
-    """
-    reach = np.hypot(MAX_CAR_LENGTH_M, MAX_JOINED_WIDTH_M) / resolution + 1
-    bounds = [np.array(cv2.boundingRect(part.view(np.uint8))) for part in parts]
-    pairs = list(combinations(range(len(parts)), 2))
-    gone: set[int] = set()
-    for one, other in pairs:  # which grows, by those of what is joined
-        low = np.minimum(bounds[one][:2], bounds[other][:2])
-        high = np.maximum(bounds[one].reshape(2, 2).sum(0), bounds[other].reshape(2, 2).sum(0))
-        if gone & {one, other} or (high - low).max() > reach:
+    """Join parts of a dark car whose roof looks like shadow: all of their common box differs."""
+    for one, other in combinations(range(len(parts)), 2):
+        corners = _fit_box(parts[one] | parts[other])
+        sides = np.hypot(*np.diff(corners[:3], axis=0).T) * resolution
+        if sides[0] > MAX_CAR_LENGTH_M or sides[1] > MAX_JOINED_WIDTH_M:
             continue
-        # the cells about the pair: the rest of a long group costs time and tells nothing
-        least = np.maximum(low - round(reach), 0)
-        left, top, right, bottom = *least.tolist(), *(high + round(reach)).tolist()
-        window = slice(top, bottom), slice(left, right)
-        inside = _fill_car(parts[one][window] | parts[other][window], group[window], resolution)
-        if inside is None:
-            continue
-        gone |= {one, other}
-        whole = np.zeros_like(group)
-        whole[window] = inside
-        pairs += [(k, len(parts)) for k in range(len(parts)) if k not in gone]
-        parts = [*parts, whole]
-        bounds.append(np.array(cv2.boundingRect(whole.view(np.uint8))))
-    return [part for k, part in enumerate(parts) if k not in gone]
-
-
-def _fill_car(
-    part: Bool[Array, "h w"], group: Bool[Array, "h w"], resolution: float
-) -> Bool[Array, "h w"] | None:
-    """Fill the box about a part with the cells that differ; None if it is not all of a car."""
-    corners = _fit_box(part)
-    sides = np.hypot(*np.diff(corners[:3], axis=0).T) * resolution
-    if sides[0] > MAX_CAR_LENGTH_M or sides[1] > MAX_JOINED_WIDTH_M:
-        return None
-    box = np.zeros(group.shape, np.uint8)
-    cv2.fillConvexPoly(box, np.rint(corners - 0.5).astype(np.int32), 1)
-    inside = (box > 0) & group
-    return inside if inside.sum() > MIN_JOINED * box.sum() else None
+        box = np.zeros(group.shape, np.uint8)
+        cv2.fillConvexPoly(box, np.rint(corners - 0.5).astype(np.int32), 1)
+        inside = (box > 0) & group
+        if inside.sum() > MIN_JOINED * box.sum():
+            rest = [part for k, part in enumerate(parts) if k not in (one, other)]
+            return _join([inside, *rest], group, resolution)
+    return parts
 
 
 def _is_one(part: Bool[Array, "h w"], resolution: float) -> bool:

@@ -194,7 +194,8 @@ def test_false_boxes_that_last_for_half_a_second_are_not_joined():
         for step, frame in enumerate(frames):
             middle = place[(begin <= step) & (step < begin + 15)]
             middle = middle + generator.normal(0, 2, middle.shape)
-            false = np.column_stack([middle - [45, 19], middle + [45, 19]])
+            half = np.array([45, 19])
+            false = np.column_stack([middle - half, middle + half])
             boxes = np.concatenate([frame.boxes, false])
             shown.append(DetectedBoxes(boxes, types=("car",) * len(boxes)))
         return shown
