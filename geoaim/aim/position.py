@@ -14,6 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.special import chdtri
 
+from geoaim.base.errors import AimError
 from geoaim.base.geometry import image_corners, transform_points, translation
 from geoaim.base.grid import Grid
 from geoaim.base.world import World, parse_crs
@@ -57,19 +58,33 @@ def read_position_covariance(report: Report) -> Float[Array, "2 2"] | None:
     True
     """
     if "position" in report:
-        covariance = report["position"]["covariance_m2"]
-        return None if covariance is None else np.array(covariance, float)
+        return _read_covariance(report["position"]["covariance_m2"])
     for entry in report.get("alignment", {}).values():
         if "checked" not in entry and "covariance_m2" in entry:
-            return np.array(entry["covariance_m2"], float)
+            return _read_covariance(entry["covariance_m2"])
     if "georeference" in report:
         bounds = np.array(report["georeference"]["corner_uncertainty_m"], float)
         return np.eye(2) * np.mean(bounds**2) / CHI2_2D
     return None
 
 
+def _read_covariance(value: Any) -> Float[Array, "2 2"] | None:
+    if value is None:
+        return None
+    covariance = np.array(value, float)
+    if covariance.shape != (2, 2) or not np.isfinite(covariance).all():
+        raise AimError(f"a covariance is {value!r}; two rows of two numbers are needed")
+    return covariance
+
+
 def bind_report(report: Report, grid: Grid) -> dict[str, Any]:
-    """Bind what a report claims to the place of its map, or note that the map was moved since."""
+    """Bind what a report claims to the place of its map, or note that the map was moved since.
+
+    Raises:
+        AimError: the place that the report states is none.
+    """
+    if "place" in report:
+        _check_place(report["place"])
     claims = {name: report[name] for name in CLAIMS if name in report}
     if not claims:
         return dict(report)
@@ -129,6 +144,23 @@ def _describe_place(grid: Grid) -> dict[str, Any]:
     crs_from_image = translation(*world.origin) @ grid.world_from_grid
     size = {"height": grid.height, "width": grid.width}
     return {"crs": world.crs, "crs_from_image": crs_from_image.tolist(), **size}
+
+
+def _check_place(place: Any) -> None:
+    """Refuse what `_describe_place` did not write."""
+    try:
+        matrix = np.array(place["crs_from_image"], float)
+        sides = place["height"], place["width"]
+        is_place = matrix.shape == (3, 3) and abs(np.linalg.det(matrix)) > 0
+        is_place &= all(isinstance(side, int) and side > 0 for side in sides)
+        is_place &= place["crs"] is None or isinstance(place["crs"], str)
+    except (KeyError, TypeError, ValueError):
+        is_place = False
+    if not is_place:
+        raise AimError(
+            f"place is {place!r}; crs, crs_from_image (3 rows of 3 numbers), height and width "
+            "(pixels) are needed; without the key the map counts as unmoved"
+        )
 
 
 def _has_moved(place: Report, grid: Grid) -> bool:

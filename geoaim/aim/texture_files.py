@@ -15,9 +15,10 @@ from numpy import ndarray as Array
 from PIL import Image
 
 from geoaim.aim.aim import AIM
-from geoaim.aim.position import read_position_covariance
+from geoaim.aim.position import bind_report, read_position_covariance
 from geoaim.base.checksums import FileFormat, verify_checksum
 from geoaim.base.errors import AimError
+from geoaim.base.grid import Grid
 from geoaim.base.limits import check_memory, name_file, refuse_damaged
 from geoaim.base.world import World
 
@@ -74,6 +75,32 @@ def read_texture(folder: str | os.PathLike[str]) -> AIM:
         GeoreferenceError: its CRS is unknown.
     """
     path = Path(folder, FRAME_FILE)
+    frame, grid = read_frame(path)
+    picture = path.with_name(frame["image"])
+    if not picture.is_file():
+        raise AimError(f"{path} names the picture {picture.name!r}, which is not beside it")
+    with refuse_damaged(picture, AimError, "the PNG of a texture"):
+        _check_picture(picture, frame.get("image_sha256"))
+        pixels = _read_pixels(picture, frame["height"], frame["width"])
+    with name_file(path):
+        assert grid.world is not None
+        image, name = pixels[..., :3].copy(), f"texture {path}"
+        aim = AIM.from_image(image, grid.world_from_grid, grid.world, name)
+    aim.coverage[:] = pixels[..., 3] > 0
+    stated = {name: frame[name] for name in POSITION_KEYS if name in frame}
+    return replace(aim, report={**aim.report, **stated})
+
+
+def read_frame(path: Path) -> tuple[dict[str, Any], Grid]:
+    """Read and check the JSON of a corner frame, without its picture.
+
+    Returns:
+        What the JSON holds, and the grid of the texture.
+
+    Raises:
+        AimError: it is damaged, or does not follow the schema.
+        GeoreferenceError: its CRS is unknown.
+    """
     with refuse_damaged(path, AimError, "the JSON of a corner frame"):
         frame = json.loads(path.read_text("utf-8"))
         _check_frame(frame)
@@ -82,19 +109,10 @@ def read_texture(folder: str | os.PathLike[str]) -> AIM:
             raise AimError("the checksum is damaged; export the texture again")
         east, north = frame["world"]["origin"]
         world = World(frame["world"]["crs"], (float(east), float(north)))
-        corners = np.array(frame["corners"], float)
-        world_from_image = fit_corners(corners, frame["height"], frame["width"])
-    picture = path.with_name(frame["image"])
-    if not picture.is_file():
-        raise AimError(f"{path} names the picture {picture.name!r}, which is not beside it")
-    with refuse_damaged(picture, AimError, "the PNG of a texture"):
-        _check_picture(picture, frame.get("image_sha256"))
-        pixels = _read_pixels(picture, frame["height"], frame["width"])
-    with name_file(path):
-        aim = AIM.from_image(pixels[..., :3].copy(), world_from_image, world, f"texture {path}")
-    aim.coverage[:] = pixels[..., 3] > 0
-    stated = {name: frame[name] for name in POSITION_KEYS if name in frame}
-    return replace(aim, report={**aim.report, **stated})
+        corners, size = np.array(frame["corners"], float), (frame["height"], frame["width"])
+        grid = Grid(size, fit_corners(corners, *size), world)
+        bind_report({name: frame[name] for name in POSITION_KEYS if name in frame}, grid)
+    return frame, grid
 
 
 def hash_picture(picture: bytes) -> str:

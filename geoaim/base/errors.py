@@ -4,6 +4,8 @@ import contextvars
 import sys
 import warnings
 
+from geoaim.base.texts import show_text
+
 # characters that end a line or control a terminal; damaged files have them in names and values
 CONTROLS = dict.fromkeys((*range(32), *range(127, 160), 0x2028, 0x2029), " ")
 MAX_START, MAX_END = 700, 300  # characters of a longer message that are kept
@@ -11,14 +13,23 @@ MAX_START, MAX_END = 700, 300  # characters of a longer message that are kept
 IN_COMMAND = contextvars.ContextVar("IN_COMMAND", default=False)
 
 
+def format_message(text: str) -> str:
+    r"""Make a message one line that is safe to print; the middle of a very long one is left out.
+
+    >>> format_message("a\n\u202eb")
+    'a \\u202eb'
+    """
+    line = show_text(text.translate(CONTROLS))
+    too_long = len(line) > MAX_START + MAX_END
+    return f"{line[:MAX_START]} ... {line[-MAX_END:]}" if too_long else line
+
+
 class GeoaimError(Exception):
     """Data that cannot be used: the message says what was found, what was needed, what to do."""
 
     def __str__(self) -> str:
-        """One line without control characters; the middle of a very long one is left out."""
-        line = super().__str__().translate(CONTROLS)
-        too_long = len(line) > MAX_START + MAX_END
-        return f"{line[:MAX_START]} ... {line[-MAX_END:]}" if too_long else line
+        """The message by `format_message`."""
+        return format_message(super().__str__())
 
 
 class VideoError(GeoaimError):
@@ -74,7 +85,7 @@ def warn(message: str) -> None:
     level, frame = 2, sys._getframe(1)  # noqa: SLF001
     while frame.f_back and frame.f_back.f_globals.get("__name__", "").startswith("geoaim"):
         level, frame = level + 1, frame.f_back
-    warnings.warn(message.translate(CONTROLS), GeoaimWarning, stacklevel=level + 1)
+    warnings.warn(format_message(message), GeoaimWarning, stacklevel=level + 1)
 
 
 def name_option(option: str, argument: str) -> str:

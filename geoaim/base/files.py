@@ -178,7 +178,8 @@ def write_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
     for text in figure.findobj(Text):  # a name from a file may hold dollar signs
         text.set_parse_math(False)
     with atomic_write(path) as temporary:
-        figure.savefig(temporary, dpi=100, format="png")
+        # a third of the time, and a file 7 % larger
+        figure.savefig(temporary, dpi=100, format="png", pil_kwargs={"compress_level": 1})
 
 
 def check_not_foreign(path: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TextIO, cast
 
 from geoaim.base.errors import GeoaimError
+from geoaim.base.texts import show_text
 
 MAX_GB_VARIABLE = "GEOAIM_MAX_GB"  # environment variable
 DEFAULT_MAX_GB = 1.0
@@ -98,7 +99,7 @@ def name_file(path: str | os.PathLike[str]) -> Iterator[None]:
         yield
     except GeoaimError as error:
         line = " ".join(str(error).split())
-        if os.path.basename(path) not in line:
+        if show_text(os.path.basename(path)) not in line:
             line = f"{path}: {line}"
         raise type(error)(line) from error
 

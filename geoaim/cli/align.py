@@ -69,9 +69,7 @@ def align(
         Literal["all", "rgb"],
         typer.Option(help="bands to write: an AIM, or red, green and blue only for other programs"),
     ] = "all",
-    max_shift: Annotated[
-        float, typer.Option(help="largest expected shift, m", min=1)
-    ] = MAX_SHIFT,
+    max_shift: Annotated[float, typer.Option(help="largest expected shift, m", min=1)] = MAX_SHIFT,
     max_rotation: Annotated[
         float, typer.Option(help="largest expected rotation, degrees", min=0, max=45)
     ] = MAX_ROTATION_DEGREES,

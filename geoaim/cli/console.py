@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
-from geoaim.base.errors import IN_COMMAND, GeoaimError, GeoaimWarning
+from geoaim.base.errors import IN_COMMAND, GeoaimError, GeoaimWarning, format_message
 from geoaim.base.files import keep_files_of_others
 from geoaim.base.progress import Progress
 from geoaim.base.texts import show_text
@@ -108,8 +108,7 @@ def report_errors() -> Iterator[None]:
                 raise
             expected = isinstance(error, GeoaimError | OSError | ValueError)
             hint = "" if expected else " (geoaim --debug COMMAND ... shows where)"
-            message = f": {' '.join(str(error).split())}{hint}"
-            message = message.encode(errors="backslashreplace").decode()  # for undecodable names
+            message = f": {format_message(' '.join(str(error).split()))}{hint}"
             console.print(Text.assemble((type(error).__name__, "bold red"), message))
             sys.exit(1)
         finally:

@@ -305,16 +305,16 @@ def _describe_model(source: str) -> Description:
 
 
 def _describe_json(source: str) -> Description:
+    from geoaim.aim.texture_files import read_frame
     from geoaim.base.limits import refuse_damaged
 
     with refuse_damaged(source, GeoaimError, "a corner frame or GeoJSON"):
         content = json.loads(Path(source).read_text(encoding="utf-8-sig"))
         if "type" in content:
             return _describe_shapes(source)
-        size = f"{content['width']} x {content['height']} px"
-        crs = content["world"]["crs"] or "local plane"
-        facts = {"image": f"{content['image']}, {size}", "CRS": crs}
-    return "corner frame of a texture", facts, ()
+    frame, grid = read_frame(Path(source))
+    size, crs = f"{grid.width} x {grid.height} px", frame["world"]["crs"] or "local plane"
+    return "corner frame of a texture", {"image": f"{frame['image']}, {size}", "CRS": crs}, ()
 
 
 def _describe_shapes(source: str) -> Description:

@@ -1,6 +1,7 @@
 """Check output paths before the work, so that no result is lost and no input replaced."""
 
 import glob
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -46,6 +47,6 @@ def _resolve(paths: Iterable[Path | None]) -> list[Path]:
 def _list_files(source: str, pattern: str) -> list[Path]:
     """List the files of a source: itself, what it matches as a pattern, or a folder's matches."""
     path = Path(source)
-    if path.is_dir():
+    if os.path.isdir(source):  # False of a name that is too long
         return list(path.glob(pattern))
     return [path, *map(Path, glob.glob(source, recursive=True))]

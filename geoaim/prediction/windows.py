@@ -5,7 +5,6 @@ rows, of which the first `HISTORY_STEPS` are observed. `<scene>.jpg` or `.png` i
 A table has the resolution of each image (columns scene, metres_per_pixel).
 """
 
-import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,6 +24,7 @@ from geoaim.prediction.segments import PEDESTRIAN, Segments
 from geoaim.rendering.ground import GREY, Ground, View, make_ground
 from geoaim.tracks.files import read_table
 from geoaim.tracks.formats.shared import check_columns
+from geoaim.tracks.formats.stanford import read_resolutions
 
 HISTORY_STEPS, WINDOW_STEPS = 8, 20
 DT_S = 0.4
@@ -79,7 +79,7 @@ def read_windows(
         TracksError: a file is missing or malformed.
     """
     folder = Path(files.windows)
-    scales = _read_resolutions(Path(files.table))
+    scales = read_resolutions(Path(files.table))
     available = sorted(path.stem for path in folder.glob("*.csv") if path.stem in scales)
     names = sorted(scenes) or available
     missing = sorted(set(names) - set(available))
@@ -136,16 +136,6 @@ def reverse_paths(segments: Segments) -> Segments:
     """Reverse the paths of `make_path_segments` in time, as an augmentation."""
     reversed_paths = make_path_segments(segments.states[:, 0, :, :2].flip(1))
     return replace(reversed_paths, places=segments.places)
-
-
-def _read_resolutions(path: Path) -> dict[str, float]:
-    table = read_table(path, text=("scene",))
-    check_columns(path, table, numbers=("metres_per_pixel",), others=("scene",))
-    scales = dict(zip(table["scene"].astype(str), table["metres_per_pixel"], strict=True))
-    for name, scale in scales.items():
-        if not 0 < scale < math.inf:
-            raise TracksError(f"{path}: metres_per_pixel of {name} is {scale}")
-    return scales
 
 
 def _read_paths(path: Path, resolution: float) -> Float[Array, "B T 2"]:

@@ -34,6 +34,18 @@ TYPICAL_SIZES: Mapping[str, tuple[float, float]] = {
     "cyclist": (1.8, 0.65),
 }
 OTHER_SIZE = (0.5, 0.5)
+# names of agent types in datasets -> ours; all others are only written in lower case
+AGENT_TYPES = {
+    "bicycle": "cyclist",
+    "bicyclist": "cyclist",
+    "bike": "cyclist",
+    "biker": "cyclist",
+    "cart": "car",  # a golf cart
+    "ped": "pedestrian",
+    "skater": "cyclist",  # of Stanford's types the one that moves alike
+    "truck_bus": "truck",
+    "veh": "car",
+}
 
 
 def find_group(agent_type: str) -> str:

@@ -3,14 +3,14 @@
 docs/formats/control_points.md lists all formats, their pixel origins and how they state a CRS.
 """
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 from rasterio.control import GroundControlPoint
@@ -19,6 +19,9 @@ from rasterio.crs import CRS
 from geoaim.base.errors import GeoreferenceError, name_option, warn
 from geoaim.base.world import LONLAT, parse_crs
 from geoaim.mapping.georeference import point_files
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,7 @@ class ControlPoints:
     redundancy: float = 1.0  # points that tell as much as one, since their errors are alike
 
 
+MAX_DIGITS = 19  # a number of 64 bits has as many
 # What `read_control_points` reads: a file, points of Python, or `dataset.gcps` of rasterio.
 ControlPointSource = (
     str
@@ -48,7 +52,6 @@ ControlPointSource = (
     | ControlPoints
     | Iterable[GroundControlPoint | Mapping[str, Any] | Sequence[Sequence[float]]]
     | tuple[Sequence[GroundControlPoint], CRS | None]
-    | pd.DataFrame
 )
 
 
@@ -84,15 +87,18 @@ def read_control_points(
         rows = point_files.read_point_file(Path(source))
         rows = rows if keep_incomplete else _leave_out_incomplete(rows, str(source))
         return _collect_points(rows, crs, str(source))
-    if isinstance(source, pd.DataFrame):
-        source, crs = _read_table(source, crs)
+    if hasattr(source, "iloc"):  # a table of pandas, which is not imported for this question
+        table: Any = source
+        source, crs = _read_table(table, crs)
     if isinstance(source, tuple) and len(source) == 2 and isinstance(source[1], CRS | None):
         source, dataset_crs = source
         crs = crs or (dataset_crs.to_string() if dataset_crs else None)
     return _collect_points(_read_objects(source, crs), crs, "control points")
 
 
-def _read_table(table: pd.DataFrame, crs: str | None) -> tuple[list[Mapping[str, Any]], str | None]:
+def _read_table(
+    table: "pd.DataFrame", crs: str | None
+) -> tuple[list[Mapping[str, Any]], str | None]:
     """Rows of a table of pandas; of geopandas with the coordinates and the CRS of its points."""
     geometry: Any = getattr(table, "geometry", None)
     if geometry is None:
@@ -102,7 +108,7 @@ def _read_table(table: pd.DataFrame, crs: str | None) -> tuple[list[Mapping[str,
     return _list_rows(columns), crs or own
 
 
-def _list_rows(table: pd.DataFrame) -> list[Mapping[str, Any]]:
+def _list_rows(table: "pd.DataFrame") -> list[Mapping[str, Any]]:
     rows = table.to_dict("records")
     return [{str(name): value for name, value in row.items()} for row in rows]
 
@@ -149,18 +155,24 @@ def _collect_points(
         coordinates=np.array([row.coordinates for row in rows]),
         crs=_merge_crs(stated if crs is None else [*stated, crs]),
         names=tuple(row.name or f"point {number}" for number, row in enumerate(rows, 1)),
-        frames=tuple(int(text) if text.isdecimal() else text or None for text in frames),
+        frames=tuple(map(_parse_frame, frames)),
         accuracy=max(row.accuracy for row in rows),
         shared_covariance=rows[0].shared_covariance,
     )
+
+
+def _parse_frame(text: str) -> str | int | None:
+    """The number of a frame, or the name of an image; Python makes no number of 5000 digits."""
+    return int(text) if text.isdecimal() and len(text) < MAX_DIGITS else text or None
 
 
 def _leave_out_incomplete(
     rows: list[point_files.PointRow], source: str
 ) -> list[point_files.PointRow]:
     """The rows that state both a pixel and a place; a warning names the others."""
-    complete = [row for row in rows if np.isfinite([row.pixel, row.coordinates]).all()]
-    left_out = [row.name or row.source for row in rows if row not in complete]
+    is_complete = [math.isfinite(sum((*row.pixel, *row.coordinates))) for row in rows]
+    complete = [row for row, whole in zip(rows, is_complete, strict=True) if whole]
+    left_out = [r.name or r.source for r, whole in zip(rows, is_complete, strict=True) if not whole]
     if left_out and not complete:
         raise GeoreferenceError(
             f"{source}: no control point has both a pixel and a place: {', '.join(left_out)}"
@@ -188,17 +200,17 @@ def _merge_crs(stated: Sequence[Any]) -> str | None:
 
 def merge_observations(points: ControlPoints) -> ControlPoints:
     """Merge points of equal coordinates that were picked on several frames, at the median pixel."""
-    _, group = np.unique(points.coordinates, axis=0, return_inverse=True)
-    keep, pixels = [], []
-    for index in range(len(group)):
-        same = np.flatnonzero(group == group[index])
-        repeated = len({points.frames[i] for i in same}) < len(same)
-        if repeated or index == same[0]:
-            keep.append(index)
-            pixels.append(
-                points.pixels[index] if repeated else np.median(points.pixels[same], axis=0)
-            )
-    return replace(select_points(points, keep), pixels=np.array(pixels))
+    _, group, counts = np.unique(
+        points.coordinates, axis=0, return_inverse=True, return_counts=True
+    )
+    pixels, keep = points.pixels.copy(), []
+    for same in np.split(np.argsort(group.ravel(), kind="stable"), np.cumsum(counts)[:-1]):
+        if len({points.frames[i] for i in same}) < len(same):  # repeated, which checks refuse
+            keep += same.tolist()
+        else:
+            keep.append(int(same[0]))
+            pixels[same[0]] = np.median(points.pixels[same], axis=0)
+    return select_points(replace(points, pixels=pixels), sorted(keep))
 
 
 def select_points(points: ControlPoints, indices: Sequence[int]) -> ControlPoints:

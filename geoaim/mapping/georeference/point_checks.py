@@ -6,6 +6,7 @@ Errors name the points and the remedy.
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from geoaim.base.errors import GeoreferenceError, warn
 from geoaim.base.geometry import image_corners
@@ -118,11 +119,15 @@ def _check_extent(points: ControlPoints, targets: Points) -> None:
 
 
 def _check_distances(names: tuple[str, ...], values: Points, limit: float, quantity: str) -> None:
-    distance = np.linalg.norm(values[:, None] - values[None], axis=2)
-    pairs = np.argwhere(np.triu(distance < limit, 1))
-    if len(pairs):
+    # of each point the two nearest, of which one may be itself
+    _, nearest = cKDTree(values).query(values, k=2, distance_upper_bound=limit)
+    own = np.arange(len(values))[:, None]
+    close = (nearest != own) & (nearest < len(values))
+    if close.any():
+        first = int(close.any(axis=1).argmax())
+        pair = [first, int(nearest[first][close[first]].min())]
         raise GeoreferenceError(
-            f"{_list_names([names[i] for i in pairs[0]])} have the same {quantity}. Remove one of"
+            f"{_list_names([names[i] for i in pair])} have the same {quantity}. Remove one of"
             " them, or correct it if it was copied by mistake."
         )
 

@@ -46,6 +46,7 @@ MAX_NUMBER = 1e12  # no pixel and no coordinate in metres, feet or degrees is as
 SHARED_COVARIANCE = "shared covariance"  # comment of a file: three numbers, square metres
 SHEET_TAG = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
 MAX_SHEET_COLUMNS = 26  # A to Z; others are not read
+MAX_ROWS = 10_000  # a georeference of as many takes seconds
 MAX_WORKBOOK_BYTES = 20_000_000  # unpacked
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 Lines = list[tuple[int, str]]  # lines and their numbers in the file
@@ -75,12 +76,15 @@ def read_point_file(path: Path) -> list[PointRow]:
     """
     try:
         with refuse_damaged(path, GeoreferenceError, "a table of control points", reads_once=True):
-            content = path.read_bytes()
-            is_workbook = content.startswith(b"PK")
-            table = _read_workbook(content) if is_workbook else decode_text(content)
-            lines = table.splitlines()
+            return _parse_points(path.read_bytes(), path)
     except OSError as error:
         raise GeoreferenceError(f"{path}: cannot be read ({error}).") from error
+
+
+def _parse_points(content: bytes, path: Path) -> list[PointRow]:
+    """Parse a file of control points in any of the formats."""
+    is_workbook = content.startswith(b"PK")
+    lines = (_read_workbook(content) if is_workbook else decode_text(content)).splitlines()
     numbered = [
         (number, trim_comment(line) if re.match(COMMENT, line) else line.strip(" "))
         for number, line in enumerate(lines, 1)
@@ -89,6 +93,11 @@ def read_point_file(path: Path) -> list[PointRow]:
     rows_of_points = [(number, line) for number, line in numbered if not line.startswith("#")]
     if not rows_of_points:
         raise GeoreferenceError(f"{path}: holds no control points.")
+    if len(rows_of_points) > MAX_ROWS:
+        raise GeoreferenceError(
+            f"{path}: has {len(rows_of_points)} rows; up to {MAX_ROWS} control points are read."
+            " Give those of one video."
+        )
     crs = _find_comment(numbered, "crs")[1]
     number, text = _find_comment(numbered, "accuracy")
     accuracy = 0.0 if text is None else _parse_accuracy(text, f"{path}, line {number}")

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
@@ -22,7 +21,6 @@ from geoaim.base.displays import Display
 from geoaim.base.errors import RegistrationError
 from geoaim.base.files import atomic_write
 from geoaim.base.geometry import image_corners, transform_points
-from geoaim.base.map_axes import draw_drift
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.frame_registration import (
@@ -51,6 +49,7 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
 
 COMPARE_EVERY = 10  # frames, after which a placement is compared with others again
@@ -97,8 +96,10 @@ class Registration(Display):
         """(T,) whether each registration can be trusted."""
         return np.array([not reason for reason in self.reason], bool)
 
-    def to_dataframe(self) -> pd.DataFrame:
+    def to_dataframe(self) -> "pd.DataFrame":
         """Make a table with a row for each frame, and the matrix in nine columns, m00 to m22."""
+        import pandas as pd
+
         names = ["index", "time", "valid", "reason", "quality", "inlier_share", "uncertainty"]
         table = pd.DataFrame({name: getattr(self, name) for name in names})
         table[[f"m{row}{column}" for row in range(3) for column in range(3)]] = (
@@ -122,6 +123,8 @@ class Registration(Display):
         }
 
     def _draw(self, axes: "Axes") -> None:
+        from geoaim.base.map_axes import draw_drift
+
         middle = np.array([[self.reference.width / 2, self.reference.height / 2]])
         moved = transform_points(self.reference_from_frame[self.valid], middle)[:, 0] - middle
         draw_drift(axes, self.time[self.valid], moved, "reference")

@@ -4,14 +4,17 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from geoaim.base.errors import GeoaimError, warn
 from geoaim.mapping.video.frames import FrameList
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CORNERS = ("u0", "v0", "u1", "v1", "u2", "v2", "u3", "v3")
 BOX = ("left", "top", "right", "bottom")

@@ -2,19 +2,23 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from geoaim.base.errors import GeoaimError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FORMS: Mapping[str, str] = {
     "ltrb": "left, top, right and bottom",
     "ltwh": "left, top, width and height",
     "xywh": "the middle x and y, width and height",
 }
+IGNORED = "ignored"  # regions that VisDrone does not label
 MAX_SHARE = 1.5  # boxes may end outside the image
 BORDER_PX = 3.0  # by which noise takes boxes beyond the picture
 MIN_WRONG = 4  # boxes that a reading takes out of the picture, and another one does not
@@ -29,7 +33,7 @@ class RawBoxes:
     """Boxes as they are written, before the meaning of their numbers is judged; M of them."""
 
     format: str
-    rows: pd.DataFrame  # the columns score, class and id, and one of name, frame and time
+    rows: "pd.DataFrame"  # the columns score, class and id, and one of name, frame and time
     numbers: Float[Array, "M n"]  # four of a form, or the corners of oriented boxes
     forms: tuple[str, ...] = ("ltrb",)  # keys of `FORMS`: the usual one, then its usual slips
     is_named: bool = True  # whether the source says which form it is; a doubtful one is stated
@@ -218,6 +222,21 @@ def find_oriented_boxes(corners: Float[Array, "M 8"]) -> Bool[Array, "M"]:
     longest = np.maximum(diagonals.max(axis=1), 1e-9)
     uneven = np.maximum(np.abs(diagonals[:, 0] - diagonals[:, 1]), offset / 2)
     return uneven <= np.maximum(0.08 * longest, 2.0)
+
+
+def find_repeated_ids(rows: "pd.DataFrame") -> list[str]:
+    """Remark on ids that several boxes of a frame have."""
+    frame = next(name for name in ("time", "frame", "name") if name in rows)
+    named = rows[rows["id"] != ""]
+    repeated = named[named.duplicated([frame, "class", "id"])]
+    if not len(repeated):
+        return []
+    first = repeated.iloc[0]
+    shown = first[frame] if frame == "name" else f"{first[frame]:g}"
+    return [
+        f"{len(repeated)} boxes have the id of another one of their frame, such as "
+        f"{first['id']!r} at {frame} {shown}"
+    ]
 
 
 def judge_scores(scores: Float[Array, "M"]) -> tuple[Float[Array, "M"], str]:

@@ -12,6 +12,7 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from geoaim.base.csv_rows import parse_number
 from geoaim.base.errors import GeoaimError
 from geoaim.base.limits import open_text, refuse_damaged
 from geoaim.mapping.video.detection_checks import MAX_SHARE, RawBoxes
@@ -24,7 +25,6 @@ VISDRONE_CLASSES = (
     *("tricycle", "tricycle", "bus", "motorcycle", "other"),
 )
 UAVDT_CLASSES = ("", "car", "truck", "bus")
-IGNORED = "ignored"  # regions that VisDrone does not label
 YOLO_FIELDS = {5: False, 6: False, 7: False, 9: True, 10: True, 11: True}  # whether oriented
 CLASS_NAMES = "classes.txt"  # a file with a class name in each line, beside the boxes
 DOTA_FIELDS = (9, 10)
@@ -135,17 +135,27 @@ def _is_dota(texts: Mapping[Path, str]) -> bool:
     return len(fields) in DOTA_FIELDS and any(map(str.isalpha, fields[8]))
 
 
+def _parse_files(content: Content, parse: Callable[[str], list[Any]]) -> list[tuple[str, Any]]:
+    """Parse the text of each file; the stem of the file and a row for each of its boxes."""
+    rows = []
+    for file, text in content.data.items():
+        with refuse_damaged(file, GeoaimError, "a text file of boxes"):
+            rows += [(file.stem, row) for row in parse(text)]
+    return rows
+
+
 def _read_dota(content: Content) -> RawBoxes:
     """Read rows x1 y1 ... x4 y4 category difficult, in pixels, under two lines of a header."""
-    rows, corners = [], []
-    for file, text in content.data.items():
-        for line in text.splitlines():
-            fields = line.split()
-            if len(fields) in DOTA_FIELDS and ":" not in fields[0]:
-                corners.append([float(value) for value in fields[:8]])
-                rows.append({"name": file.stem, "class": fields[8].replace("-", " ")})
-    numbers = np.array(corners).reshape(-1, 8)
+    found = _parse_files(content, _parse_dota)
+    rows = [{"name": stem, "class": kind} for stem, (_, kind) in found]
+    numbers = np.array([corners for _, (corners, _) in found]).reshape(-1, 8)
     return RawBoxes("DOTA", _complete(rows), numbers, listed=_list_stems(content.data))
+
+
+def _parse_dota(text: str) -> list[tuple[list[float], str]]:
+    lines = [line.split() for line in text.splitlines()]
+    boxes = [words for words in lines if len(words) in DOTA_FIELDS and ":" not in words[0]]
+    return [([float(word) for word in words[:8]], words[8].replace("-", " ")) for words in boxes]
 
 
 def _list_stems(texts: Mapping[Path, str]) -> tuple[str, ...]:
@@ -156,17 +166,12 @@ def _read_yolo(content: Content) -> RawBoxes:
     """Read rows `class x y width height` or `class x1 y1 ... x4 y4`, then confidence and id."""
     rows: list[dict[str, Any]] = []
     numbers: list[list[float]] = []
-    for file, text in content.data.items():
-        for values in _parse_yolo(file, text):
-            count = 8 if YOLO_FIELDS[len(values)] else 4
-            numbers.append(values[1 : 1 + count])
-            rest = values[1 + count :]
-            row = {
-                "name": file.stem,
-                "class": f"{values[0]:g}",
-                "extra": rest[0] if rest else np.nan,
-            }
-            rows.append(row | {"id": f"{rest[1]:.0f}" if len(rest) > 1 else ""})
+    for stem, values in _parse_files(content, _parse_yolo):
+        count = 8 if YOLO_FIELDS[len(values)] else 4
+        numbers.append(values[1 : 1 + count])
+        rest = values[1 + count :]
+        row = {"name": stem, "class": f"{values[0]:g}", "extra": rest[0] if rest else np.nan}
+        rows.append(row | {"id": f"{rest[1]:.0f}" if len(rest) > 1 else ""})
     if len({len(values) for values in numbers}) > 1:
         raise GeoaimError(f"{content.path} mixes upright and oriented boxes; give one kind")
     table = pd.DataFrame(rows, columns=["name", "class", "extra", "id"])
@@ -182,7 +187,7 @@ def _read_yolo(content: Content) -> RawBoxes:
     )
 
 
-def _parse_yolo(file: Path, text: str) -> list[list[float]]:
+def _parse_yolo(text: str) -> list[list[float]]:
     try:
         fields = [line.split() for line in text.splitlines() if line.strip()]
         if not all(len(row) in YOLO_FIELDS for row in fields):
@@ -191,10 +196,10 @@ def _parse_yolo(file: Path, text: str) -> list[list[float]]:
         if any(len(row) in (7, 11) and row[-1] % 1 for row in rows):
             raise ValueError("its last field is no id, a whole number: are these polygons?")
     except ValueError as error:
-        raise GeoaimError(f"{file}: a row is not `class x y width height`: {error}") from error
+        raise GeoaimError(f"a row is not `class x y width height`: {error}") from error
     largest = max((abs(v) for row in rows for v in row[1 : 9 if len(row) > 8 else 5]), default=0.0)
     if not largest <= MAX_SHARE:
-        raise GeoaimError(f"{file}: values reach {largest!r}; shares of the size are needed")
+        raise GeoaimError(f"values reach {largest!r}; shares of the size are needed")
     return rows
 
 
@@ -209,18 +214,9 @@ def _separate_ids(rows: pd.DataFrame) -> pd.DataFrame:
 
 def _read_visdrone_images(content: Content) -> RawBoxes:
     """Read rows left, top, width, height, score, class, truncation, occlusion of each image."""
-    parts, names = [], []
-    for file, text in content.data.items():
-        try:
-            lines = [line.strip().rstrip(",") for line in text.splitlines() if line.strip()]
-            values = np.array([[float(value) for value in line.split(",")] for line in lines])
-            parts.append(values.reshape(-1, 8))
-        except ValueError as error:
-            raise GeoaimError(
-                f"{file}: a row has not the 8 numbers of VisDrone: {error}"
-            ) from error
-        names += [file.stem] * len(parts[-1])
-    values = np.concatenate(parts)
+    found = _parse_files(content, _parse_visdrone)
+    values = np.array([row for _, row in found]).reshape(-1, 8)
+    names = [stem for stem, _ in found]
     rows = pd.DataFrame({"name": names, "score": values[:, 4], "class": _to_names(values[:, 5])})
     return RawBoxes(
         "VisDrone, images",
@@ -230,6 +226,17 @@ def _read_visdrone_images(content: Content) -> RawBoxes:
         class_names=VISDRONE_CLASSES,
         listed=_list_stems(content.data),
     )
+
+
+def _parse_visdrone(text: str) -> list[list[float]]:
+    lines = [line.strip().rstrip(",") for line in text.splitlines() if line.strip()]
+    try:
+        rows = [[float(value) for value in line.split(",")] for line in lines]
+        if any(len(row) != 8 for row in rows):
+            raise ValueError("8 are needed")
+    except ValueError as error:
+        raise GeoaimError(f"a row has not the 8 numbers of VisDrone: {error}") from error
+    return rows
 
 
 def _to_names(numbers: Float[Array, "m"]) -> list[str]:
@@ -251,6 +258,8 @@ def _complete(rows: Any) -> pd.DataFrame:
     for name in numbers[1:]:
         if not (table[name].abs() < MAX_FRAME).all():
             raise ValueError(f"a {name} is missing or is not below {MAX_FRAME:g}")
+    if "frame" in table and (table["frame"] < 0).any():
+        raise ValueError(f"frame {table['frame'].min():g} is negative; frames count from 0 or 1")
     return table
 
 
@@ -398,12 +407,17 @@ def _read_cvat(content: Content) -> RawBoxes:
             label = parent.get("label") or box.get("label", "")
             row: dict[str, Any] = {"class": label}
             if parent.tag == "track":
-                row |= {"frame": float(box.attrib["frame"]), "id": parent.get("id", "")}
+                row |= {
+                    "frame": parse_number("frame", box.attrib["frame"]),
+                    "id": parent.get("id", ""),
+                }
             else:
                 row |= {"name": Path(parent.attrib["name"]).stem}
             rows.append(row)
-            left, top, right, bottom = (float(box.attrib[n]) for n in ("xtl", "ytl", "xbr", "ybr"))
-            angle = np.radians(float(box.get("rotation", "0")))
+            left, top, right, bottom = (
+                parse_number(name, box.attrib[name]) for name in ("xtl", "ytl", "xbr", "ybr")
+            )
+            angle = np.radians(parse_number("rotation", box.get("rotation", "0")))
             along = (right - left) / 2 * np.array([np.cos(angle), np.sin(angle)])
             across = (bottom - top) / 2 * np.array([-np.sin(angle), np.cos(angle)])
             middle = np.array([left + right, top + bottom]) / 2

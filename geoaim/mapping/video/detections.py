@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
@@ -21,20 +20,20 @@ from geoaim.mapping.video.box_tables import (
 )
 from geoaim.mapping.video.detection_checks import (
     FORMS,
+    IGNORED,
     BoxOptions,
     RawBoxes,
     convert_form,
     find_oriented_boxes,
+    find_repeated_ids,
     get_bounds,
     judge_boxes,
     judge_scores,
     name_classes,
 )
-from geoaim.mapping.video.detection_entries import convert_entry, to_table
-from geoaim.mapping.video.detection_files import IGNORED, read_raw_boxes
 from geoaim.mapping.video.frames import Frame, FrameList
 from geoaim.mapping.video.video import Video
-from geoaim.tracks.formats.shared import AGENT_TYPES
+from geoaim.tracks.agent_types import AGENT_TYPES
 
 # names of classes in datasets of detections -> agent types
 CLASS_TYPES = AGENT_TYPES | {
@@ -92,7 +91,8 @@ class DetectedBoxes:
 
 # Boxes of a frame; None for a frame without labels.
 Detections = Callable[[Frame], DetectedBoxes | None]
-DetectionSource = str | Path | pd.DataFrame | Iterable[Any] | Callable[[Frame], Any]
+# Tables of pandas are iterables.
+DetectionSource = str | Path | Iterable[Any] | Callable[[Frame], Any]
 
 
 class BoxReader:
@@ -160,6 +160,7 @@ class BoxReader:
                 self._corners = order_corners(numbers.reshape(-1, 4, 2))
             else:
                 remarks.append("its four corners are no rectangles: their upright bounds are taken")
+        remarks += find_repeated_ids(raw.rows)
         remarks = [*raw.remarks, *self._frames.remarks, *remarks, *filter(None, (remark, other))]
         is_first, self._picture = self._picture is None, picture
         self.summary = (
@@ -242,6 +243,9 @@ def read_detections(  # noqa: PLR0913  (its options)
         GeoaimError: the file or folder holds no detections in a known format, or none of the
             frames of the video.
     """
+    from geoaim.mapping.video.detection_entries import to_table  # which need pandas
+    from geoaim.mapping.video.detection_files import read_raw_boxes
+
     listed = None if video is None else video.listed
     if isinstance(source, BoxReader):
         return source.bind(listed)
@@ -259,6 +263,10 @@ def read_detections(  # noqa: PLR0913  (its options)
 
 def _join_entries(entries: Iterable[Any]) -> RawBoxes:
     """Join the entries of all frames."""
+    import pandas as pd
+
+    from geoaim.mapping.video.detection_entries import convert_entry
+
     known: list[int] = []
     parts: list[RawBoxes] = []
     for number, entry in enumerate(entries):
@@ -290,6 +298,8 @@ def convert_boxes(value: Any, form: str | None = None) -> DetectedBoxes | None:
     """
     if value is None or isinstance(value, DetectedBoxes):
         return value
+    from geoaim.mapping.video.detection_entries import convert_entry  # which needs pandas
+
     raw = convert_entry(value)
     numbers = raw.numbers
     if numbers.shape[1] == 4 and len(raw.forms) > 1:

@@ -2,6 +2,7 @@
 
 import glob
 import math
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -179,7 +180,7 @@ def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = 
     if isinstance(source, Video):
         return source
     if isinstance(source, str | Path):
-        if (part := PART.search(str(source))) and not Path(source).exists():
+        if (part := PART.search(str(source))) and not os.path.exists(source):
             whole = open_video(str(source)[: part.start()], rate=rate, threads=threads)
             return _cut_video(whole, float(part[1]), float(part[2]))
         paths = _list_images(str(source))
@@ -266,9 +267,9 @@ def _read_sidecar(path: Path, quarter_turns: int) -> Telemetry | None:
 def _list_images(source: str) -> list[Path] | None:
     """Images of a folder or pattern, in natural order; None when the source is another file."""
     path = Path(source)
-    if path.is_dir():
+    if os.path.isdir(source):  # False of a name that is too long
         images = [entry for entry in path.iterdir() if _is_image(entry)]
-    elif path.exists():
+    elif os.path.exists(source):
         return [path] if _is_image(path) else None
     elif any(sign in source for sign in "*?["):
         images = [Path(entry) for entry in glob.glob(source) if _is_image(Path(entry))]

@@ -14,21 +14,9 @@ from numpy import ndarray as Array
 from geoaim.base.errors import TracksError, warn
 from geoaim.base.limits import MAX_POSITION_M
 from geoaim.base.world import ORIGIN_STEP_M
-from geoaim.tracks.agent_types import OTHER_SIZE, TYPICAL_SIZES
+from geoaim.tracks.agent_types import AGENT_TYPES, OTHER_SIZE, TYPICAL_SIZES
 from geoaim.tracks.tracks import Tracks
 
-# names of agent types in datasets -> ours; all others are only written in lower case
-AGENT_TYPES = {
-    "bicycle": "cyclist",
-    "bicyclist": "cyclist",
-    "bike": "cyclist",
-    "biker": "cyclist",
-    "cart": "car",  # a golf cart
-    "ped": "pedestrian",
-    "skater": "cyclist",  # of Stanford's types the one that moves alike
-    "truck_bus": "truck",
-    "veh": "car",
-}
 MAX_NUMBER = 1e16  # a greater one is no measured value
 MAX_CAR_LENGTH_M = 7.0  # a longer vehicle of no stated kind is a truck
 KNOWN_TYPES = {*TYPICAL_SIZES, "pedestrian"}

@@ -1,5 +1,6 @@
 """The formats of the Stanford Drone Dataset (SDD) and of TrajNet's windows of it."""
 
+import math
 import os
 import re
 from pathlib import Path
@@ -117,16 +118,31 @@ def _look_up_resolution(path: Path) -> float:
     """Look up the resolution of the scene that has the file's name."""
     for folder in (path.parent, path.parent.parent):
         if (folder / "scenes.csv").exists():
-            scenes = pd.read_csv(folder / "scenes.csv", dtype={"scene": str})
-            if {"scene", "metres_per_pixel"} <= set(scenes.columns):
-                values = scenes["metres_per_pixel"][scenes["scene"] == path.stem]
-                if len(values) == 1:
-                    return float(values.iloc[0])
+            scales = read_resolutions(folder / "scenes.csv")
+            if path.stem in scales:
+                return scales[path.stem]
     raise ValueError(
         f"{path} is in pixels, and no scenes.csv in its folder or the one above gives "
         f"metres_per_pixel of scene {path.stem!r}; give a resolution in metres per pixel, such as "
         "0.04"
     )
+
+
+def read_resolutions(path: Path) -> dict[str, float]:
+    """Read metres per pixel by scene from a table like `scenes.csv`.
+
+    Raises:
+        TracksError: the table is malformed.
+    """
+    table = read_table(path, text=("scene",))
+    check_columns(path, table, numbers=("metres_per_pixel",), others=("scene",))
+    if len(twice := table["scene"][table["scene"].duplicated()]):
+        raise TracksError(f"{path} has several rows of the scene {twice.iloc[0]}; one is needed")
+    scales = dict(zip(table["scene"].astype(str), table["metres_per_pixel"], strict=True))
+    for name, scale in scales.items():
+        if not 0 < scale < math.inf:
+            raise TracksError(f"{path}: metres_per_pixel of {name} is {scale}")
+    return scales
 
 
 SDD = TrackFormat(
