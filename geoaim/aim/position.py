@@ -151,7 +151,8 @@ def _check_place(place: Any) -> None:
     try:
         matrix = np.array(place["crs_from_image"], float)
         sides = place["height"], place["width"]
-        is_place = matrix.shape == (3, 3) and abs(np.linalg.det(matrix)) > 0
+        is_place = matrix.shape == (3, 3) and bool(np.isfinite(matrix).all())
+        is_place = is_place and abs(np.linalg.det(matrix)) > 0
         is_place &= all(isinstance(side, int) and side > 0 for side in sides)
         is_place &= place["crs"] is None or isinstance(place["crs"], str)
     except (KeyError, TypeError, ValueError):

@@ -38,6 +38,7 @@ def draw_quicklook(aim: AIM) -> Figure:
     _draw_path(right.add_subplot(grid[1, :]), aim.report.get("registration", {}))
     _draw_summary(right.add_subplot(grid[2, :]), aim)
     figure.draw_without_rendering()  # labels are placed in the final layout
+    figure.set_layout_engine("none")  # which is not computed again
     _draw_points(main, georeference.get("points", []))
     return figure
 

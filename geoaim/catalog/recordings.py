@@ -10,6 +10,7 @@ from datetime import datetime
 from fnmatch import fnmatchcase
 from importlib.metadata import version
 from os import PathLike
+from os.path import isdir
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,8 @@ def read_recordings(source: str | PathLike[str], *, stores: Sequence[str] = ()) 
         CatalogError: the table cannot be read, has other columns, or a cell cannot be understood.
     """
     address = make_address(source)
+    if isdir(address):
+        raise CatalogError(f"{address} is a folder; a CSV of recordings is needed")
     with report_storage(address), fsspec.open(address, "rt", encoding="utf-8-sig") as file:
         try:
             header, rows = read_rows(file)

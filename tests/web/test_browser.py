@@ -1,11 +1,16 @@
 """The viewer in a real browser."""
 
 import io
+import json
+from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import geoaim
+from geoaim.web.explore import Contents, make_map_view
 from geoaim.web.map_view import write_html
 from tests.waiting import wait_until
 from tests.web.browser import open_view, serve, wait_for
@@ -105,3 +110,24 @@ def test_one_html_file_shows_it_without_a_server(page, view, tmp_path):
     open_view(page, (tmp_path / "view.html").as_uri())
     assert page.evaluate("geoaim.state.tracks.agents.length") > 10
     assert all(url.startswith(("file:", "blob:", "data:")) for url in asked)
+
+
+MARKUP = "</script><img src=x onerror=\"document.body.dataset.acted='yes'\">\u202e${1}"
+
+
+def test_markup_in_ids_types_and_file_names_is_shown_as_text(page, aim, contents, tmp_path):
+    given = contents.tracks
+    tracks = replace(given, ids=(MARKUP, *given.ids[1:]), types=(MARKUP,) * len(given.types))
+    path = tmp_path / f"{MARKUP.replace('/', '')}.tif"
+    geoaim.write_aim(aim, path)
+    with ExitStack() as stack:
+        view = make_map_view(path, Contents(tracks=tracks), stack)
+        write_html(view, tmp_path / "view.html")
+        with serve(view) as address:
+            for place in (address, (tmp_path / "view.html").as_uri()):
+                open_view(page, place)
+                page.evaluate(f"geoaim.select({json.dumps(MARKUP)})")
+                assert page.evaluate("document.body.innerText").count("onerror") > 0
+                assert page.title() == path.name
+                assert page.evaluate("document.body.dataset.acted") is None
+                assert page.evaluate("document.querySelector('img[src=x]')") is None

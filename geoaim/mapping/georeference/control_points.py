@@ -17,6 +17,7 @@ from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 
 from geoaim.base.errors import GeoreferenceError, name_option, warn
+from geoaim.base.limits import name_file
 from geoaim.base.world import LONLAT, parse_crs
 from geoaim.mapping.georeference import point_files
 
@@ -85,8 +86,9 @@ def read_control_points(
         return source if crs is None else replace(source, crs=_merge_crs([source.crs, crs]))
     if isinstance(source, str | Path):
         rows = point_files.read_point_file(Path(source))
-        rows = rows if keep_incomplete else _leave_out_incomplete(rows, str(source))
-        return _collect_points(rows, crs, str(source))
+        with name_file(source):
+            rows = rows if keep_incomplete else _leave_out_incomplete(rows, str(source))
+            return _collect_points(rows, crs, str(source))
     if hasattr(source, "iloc"):  # a table of pandas, which is not imported for this question
         table: Any = source
         source, crs = _read_table(table, crs)

@@ -6,7 +6,6 @@ Errors name the points and the remedy.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from geoaim.base.errors import GeoreferenceError, warn
 from geoaim.base.geometry import image_corners
@@ -119,6 +118,8 @@ def _check_extent(points: ControlPoints, targets: Points) -> None:
 
 
 def _check_distances(names: tuple[str, ...], values: Points, limit: float, quantity: str) -> None:
+    from scipy.spatial import cKDTree  # a build without points needs none
+
     # of each point the two nearest, of which one may be itself
     _, nearest = cKDTree(values).query(values, k=2, distance_upper_bound=limit)
     own = np.arange(len(values))[:, None]

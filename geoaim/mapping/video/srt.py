@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 
 from geoaim.base.errors import GeoaimWarning, GeoreferenceError
 from geoaim.base.geometry import wrap_angle
+from geoaim.base.limits import refuse_damaged
 from geoaim.mapping.video.telemetry import Telemetry, make_telemetry
 
 TIME_LINE = re.compile(r"^[ \t]*(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})[ \t]*-->", re.MULTILINE)
@@ -58,7 +59,8 @@ def read_srt(path: str | Path) -> Telemetry:
             a decimal point, a value is not possible, or more than a few change faster than a drone
             can move; these few are left out with a warning.
     """
-    text = Path(path).read_bytes().decode("utf-8", errors="replace")
+    with refuse_damaged(path, GeoreferenceError, "an .SRT file"):
+        text = Path(path).read_bytes().decode("utf-8", errors="replace")
     lines = list(TIME_LINE.finditer(text))
     if not lines:
         raise GeoreferenceError(f"{path}: no line '00:00:00,000 --> ...' found: not an .SRT file")
