@@ -77,6 +77,7 @@ def atomic_files(*paths: str | os.PathLike[str], shared: bool = False) -> Iterat
             for parent in dict.fromkeys(path.parent for path in targets)
         }
         temporary = [folders[path.parent] / path.name for path in targets]
+        stack.enter_context(_name_in_errors(targets[0]))
         yield temporary
         for file, path in zip(temporary, targets, strict=True):
             _flush(file)
@@ -110,7 +111,8 @@ def atomic_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
     folder = Path(folder).resolve()
     check_new_folder(folder)
     with _make_temporary_folder(folder.parent) as temporary:
-        yield temporary
+        with _name_in_errors(folder):
+            yield temporary
         check_new_folder(folder)  # another run may have written it meanwhile
         if folder.exists():
             folder.rmdir()  # Windows renames to no existing folder
@@ -211,6 +213,17 @@ def _flush(path: Path) -> None:
     """Make sure that a file is on the disk, so that no power cut leaves an empty one."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
+
+
+@contextmanager
+def _name_in_errors(path: Path) -> Iterator[None]:
+    """Name what is written in errors that name no file, such as that of a full disk."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 @contextmanager

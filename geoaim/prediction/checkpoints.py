@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import asdict
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from zipfile import ZIP_STORED, ZipFile
@@ -119,10 +120,11 @@ def read_pretrained(kind: str) -> ITRA:
 
 def write_state(state: dict[str, Any], path: str | os.PathLike[str]) -> None:
     """Write numbers and tensors by their names; an interrupted write leaves the old file."""
+    content = BytesIO()  # first in memory: on a full disk torch names neither it nor the file
+    torch.save({"format": FORMAT.newest, **state}, content)
+    content.write(PLACEHOLDER.encode())  # zip archives may be followed by other bytes
     with atomic_write(path) as temporary:
-        torch.save({"format": FORMAT.newest, **state}, temporary)
-        with temporary.open("ab") as file:  # zip archives may be followed by other bytes
-            file.write(PLACEHOLDER.encode())
+        temporary.write_bytes(content.getbuffer())
         write_checksum(temporary)
 
 

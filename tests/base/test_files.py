@@ -1,3 +1,4 @@
+import errno
 import os
 import sys
 
@@ -148,3 +149,16 @@ def test_what_several_programs_write_is_replaced(tmp_path):
         part.write_text("ours")
         (tmp_path / "tile.png").write_text("theirs")
     assert (tmp_path / "tile.png").read_text() == "ours"
+
+
+def test_a_full_disk_names_what_was_written(tmp_path):
+    def fail():
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    for write in (atomic_write, atomic_folder):
+        with (
+            pytest.raises(OSError, match=r"No space left on device: '.*new'"),
+            write(tmp_path / "new"),
+        ):
+            fail()
+    assert list(tmp_path.iterdir()) == []
