@@ -37,10 +37,19 @@ def draw_quicklook(aim: AIM) -> Figure:
         _draw_uncertainty(right.add_subplot(grid[0, 1]), georeference)
     _draw_path(right.add_subplot(grid[1, :]), aim.report.get("registration", {}))
     _draw_summary(right.add_subplot(grid[2, :]), aim)
-    figure.draw_without_rendering()  # labels are placed in the final layout
-    figure.set_layout_engine("none")  # which is not computed again
+    _fix_layout(figure)  # labels are placed in the final one
     _draw_points(main, georeference.get("points", []))
     return figure
+
+
+def _fix_layout(figure: Figure) -> None:
+    """Lay the figure out as when it is drawn, which would take twice as long."""
+    layout = figure.get_layout_engine()
+    assert layout is not None
+    layout.execute(figure)
+    for axes in figure.get_axes():
+        axes.apply_aspect()
+    figure.set_layout_engine("none")
 
 
 def _draw_points(axes: Axes, points: Sequence[Mapping[str, Any]]) -> None:
