@@ -115,7 +115,8 @@ def refuse_damaged(
     """Turn whatever a library raises on a file's content into an `error_type` that names the file.
 
     `needed` is what the file should be, such as "a GeoTIFF"; with `reads_once` it may be a pipe. A
-    GeoaimError, a warning, and an error about a setting or a missing or forbidden file stay so.
+    GeoaimError, a warning, and an error about a setting, another file, or a missing or forbidden
+    one stay so.
     """
     if os.path.isdir(path):
         raise error_type(f"{path} is a folder; {needed} is needed")
@@ -127,6 +128,9 @@ def refuse_damaged(
     except (GeoaimError, SettingError, Warning, FileNotFoundError, PermissionError):
         raise
     except Exception as error:  # parsers raise errors of their own, and of every kind
+        named = getattr(error, "filename", None)
+        if isinstance(error, OSError) and named and str(named) != str(path):
+            raise  # such as a full disk for what is written meanwhile
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_REASON_CHARS]
         raise error_type(f"{path} is not {needed}, or is damaged ({reason})") from error
 

@@ -1,3 +1,4 @@
+import errno
 import os
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 import rasterio
 
 from geoaim.aim.files import read_aim
-from geoaim.base.errors import GeoaimError, TracksError, VideoError
+from geoaim.base.errors import AimError, GeoaimError, TracksError, VideoError
 from geoaim.base.limits import check_memory, name_file, refuse_damaged
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.mapping.video.video import open_video
@@ -78,3 +79,16 @@ def test_pipe_is_refused_without_waiting_for_it(tmp_path, read):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(GeoaimError, match="is a pipe or a device"):
         read(tmp_path / "pipe")
+
+
+def test_an_error_of_another_file_is_not_blamed_on_the_one_that_is_read(tmp_path):
+    path = tmp_path / "map.tif"
+    full = OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "view.html"))
+    with (
+        pytest.raises(OSError, match=r"view\.html") as caught,
+        refuse_damaged(path, AimError, "it"),
+    ):
+        raise full
+    assert caught.value is full
+    with pytest.raises(AimError, match=r"map\.tif"), refuse_damaged(path, AimError, "it"):
+        raise OSError(errno.EIO, "Input/output error", str(path))
