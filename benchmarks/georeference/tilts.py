@@ -74,7 +74,8 @@ def measure_tilts(
 def summarise_tilts(rows: Sequence[Row]) -> Iterator[Row]:
     """Sum rows up over tilts, by number of points and whether one is wrong."""
     table = pd.DataFrame(rows)
-    for (wrong, count), own in table.groupby(["one wrong", "points"]):
+    for wrong, count in table[["one wrong", "points"]].drop_duplicates().itertuples(index=False):
+        own = table[(table["one wrong"] == wrong) & (table.points == count)]
         used = own.sets.sum() - own.refused.sum()
         yield {
             "points": int(count),
