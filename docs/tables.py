@@ -293,7 +293,7 @@ def write_stability(results: Row) -> str:
     return write_rows(results["methods"]) + "\n\n" + write_rows(results["rows"])
 
 
-SOURCES = {"robustness": "registration", "length": "pipeline"}
+SOURCES = {"robustness": "registration", "length": "pipeline", "tilts": "georeference"}
 SOURCES |= {f"catalog_{name}": "catalog" for name in ("losses", "store", "rows")}
 SOURCES |= {"plan_country": "unit_costs", "plan_recordings": "unit_costs"}
 SOURCES |= {f"{name}_sizes": name for name in ("registration", "background", "georeference")}
@@ -308,6 +308,7 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "models_without_detector": write_models_without_detector,
     "georeference": write_georeference,
     "georeference_sizes": write_sizes,
+    "tilts": lambda results: write_rows(results["few points of tilted cameras"]),
     "registration_sizes": write_sizes,
     "background_sizes": write_sizes,
     "stability": write_stability,
