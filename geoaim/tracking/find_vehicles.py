@@ -14,13 +14,14 @@ from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.tracking.background_difference import Ground, find_foreground, learn_ground
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
-from geoaim.tracking.ground_grid import GroundGrid, make_grid
+from geoaim.tracking.ground_grid import GroundGrid, make_grid, measure_resolution
 from geoaim.tracking.vehicle_shapes import find_shapes
 from geoaim.tracks.tracks import Tracks
 
 LEARNING_FRAMES = 30  # spread over the video, by which the ground's noise and shadows are learnt
 MAX_RESOLUTION = 0.6  # metres per pixel; a car is no longer several pixels wide in coarser frames
 MAX_SMALL_RESOLUTION = 0.1  # metres per pixel up to which people and cyclists are told from noise
+MAX_POSE_SIGMA_M = 0.45  # a quarter of a car's width; rims of what stands then differ as cars do
 MIN_VEHICLE_M2 = 2.0
 BORDER_M = 0.5  # a box that ends this near to where nothing is known may be cut off
 SHAPE_SIGMA_M = 0.1  # of a vehicle's middle, by errors of its shape that last
@@ -67,6 +68,7 @@ def search_frames(
             f"a pixel shows {grid.resolution:.2g} m of ground; vehicles are found without a "
             f"detector up to {MAX_RESOLUTION} m: give boxes (--detections), or check the scale"
         )
+    _check_registration(poses, measure_resolution(poses.world_from_frame[reference], size))
     ground = _learn(video, aim, grid, matrices, known)
     area = ndimage.binary_fill_holes(ground.covered)  # vehicles drive out of it, and not into holes
     small = grid.resolution <= max(MAX_SMALL_RESOLUTION, 0.12)
@@ -87,6 +89,16 @@ def search_frames(
         found[frame.index] = DetectedBoxes(boxes, corners, shapes.scores, at_border=ends)
         progress("find vehicles", len(found), len(known))
     return [found.get(index) for index in matrices]
+
+
+def _check_registration(poses: FramePoses, resolution: float) -> None:
+    """Check that frames lie on the map more exactly than what is to be told from it."""
+    sigma = float(np.median(poses.registration.uncertainty[poses.registration.valid])) * resolution
+    if sigma > MAX_POSE_SIGMA_M:
+        raise TracksError(
+            f"the frames are registered to {sigma:.2g} m only; up to {MAX_POSE_SIGMA_M} m, vehicles "
+            "are told from what stands: give boxes (--detections), or film from a drone that hovers"
+        )
 
 
 def _find_ends(

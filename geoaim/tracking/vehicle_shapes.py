@@ -16,6 +16,8 @@ CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 WEAK = 0.6  # of the tolerance; what differs by so much belongs to what differs by more
 CLOSING_M = 0.5  # gaps in a vehicle
 MIN_AREA_M2 = 0.25  # of anything
+# of what touches; more is a change of light or a frame that is registered badly, and took minutes
+MAX_GROUP_M2 = 3000.0
 MIN_STRONG_M2 = 0.15  # that differs by the whole tolerance
 MIN_BODY_SHARE = 0.25  # of what differs; a smaller body is a dark vehicle with highlights
 MAX_WIDTH_M, MAX_LENGTH_M = 3.0, 20.0  # of a vehicle
@@ -62,7 +64,7 @@ def find_shapes(
     boxes, scores = [], []
     for number in range(1, count):
         left, top, width, height, area = stats[number].tolist()
-        if area * resolution**2 < min_area:
+        if not min_area <= area * resolution**2 <= MAX_GROUP_M2:
             continue
         window = slice(top, top + height), slice(left, left + width)
         group = labels[window] == number

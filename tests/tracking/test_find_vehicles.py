@@ -67,6 +67,18 @@ def test_a_coarse_video_is_refused(aim, video):
         search_frames(video, aim, coarse)
 
 
+def test_frames_that_are_registered_badly_are_not_compared(aim, video):
+    poses = locate_frames(video, aim, None, no_progress)
+    doubtful = replace(poses.registration, uncertainty=poses.registration.uncertainty + 20.0)
+    with pytest.raises(TracksError, match="registered to .* m only"):
+        search_frames(video, aim, replace(poses, registration=doubtful))
+
+
+def test_what_differs_nearly_everywhere_is_no_vehicle():
+    strength = np.full((430, 1764), 2 * UNIT, np.uint8)
+    assert not len(find_shapes(strength, 0 * strength, 0.12, np.zeros(2)).corners)
+
+
 def test_neighbours_are_told_apart():
     strength = np.zeros((100, 100), np.uint8)
     strength[20:58, 20:35] = strength[20:58, 40:55] = 2 * UNIT  # two cars of 1.8 m, 0.6 m apart
