@@ -96,8 +96,8 @@ def _check_registration(poses: FramePoses, resolution: float) -> None:
     sigma = float(np.median(poses.registration.uncertainty[poses.registration.valid])) * resolution
     if sigma > MAX_POSE_SIGMA_M:
         raise TracksError(
-            f"the frames are registered to {sigma:.2g} m only; up to {MAX_POSE_SIGMA_M} m, vehicles "
-            "are told from what stands: give boxes (--detections), or film from a drone that hovers"
+            f"the frames are registered to {sigma:.2g} m only; up to {MAX_POSE_SIGMA_M} m, "
+            "vehicles are told from what stands: give boxes (--detections) or hover"
         )
 
 

@@ -70,7 +70,7 @@ def test_a_coarse_video_is_refused(aim, video):
 def test_frames_that_are_registered_badly_are_not_compared(aim, video):
     poses = locate_frames(video, aim, None, no_progress)
     doubtful = replace(poses.registration, uncertainty=poses.registration.uncertainty + 20.0)
-    with pytest.raises(TracksError, match="registered to .* m only"):
+    with pytest.raises(TracksError, match=r"registered to .* m only"):
         search_frames(video, aim, replace(poses, registration=doubtful))
 
 
