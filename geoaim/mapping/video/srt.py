@@ -59,7 +59,7 @@ def read_srt(path: str | Path) -> Telemetry:
             a decimal point, a value is not possible, or more than a few change faster than a drone
             can move; these few are left out with a warning.
     """
-    with refuse_damaged(path, GeoreferenceError, "an .SRT file"):
+    with refuse_damaged(path, GeoreferenceError, "an .SRT file", reads_once=True):
         text = Path(path).read_bytes().decode("utf-8", errors="replace")
     lines = list(TIME_LINE.finditer(text))
     if not lines:

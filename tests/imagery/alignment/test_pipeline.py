@@ -136,13 +136,13 @@ def test_control_points_place_a_picture_and_an_aim_checks_them(picture, aim, tmp
     np.testing.assert_allclose(found.corners, aligned.corners + np.array([6.0, 0.0]), atol=0.1)
 
 
-@pytest.mark.parametrize(("name", "zoom"), [("aim", 1.03), ("tracks", 1.0)])
+@pytest.mark.parametrize(("name", "degrees", "zoom"), [("aim", 2.0, 1.03), ("tracks", 3.0, 1.0)])
 def test_control_points_that_rotate_or_scale_the_picture_are_doubted(
-    picture, aim, tmp_path, name, zoom
+    picture, aim, tmp_path, name, degrees, zoom
 ):
     """The middle stays where it is; only the corners tell."""
     path, aligned = picture
-    turned = make_similarity(aligned.corners.mean(axis=0), np.radians(2.0), zoom)
+    turned = make_similarity(aligned.corners.mean(axis=0), np.radians(degrees), zoom)
     gcps = _picked(tmp_path, turned @ aligned.world_from_image, aligned.world)
     given = {"aim": aim, "tracks": geoaim.read_tracks(TRACKS)}
     with pytest.warns(GeoaimWarning, match=f"by the {name} the imagery's corners"):
