@@ -250,9 +250,7 @@ class DrivingEnv(gymnasium.Env[Any, Float32[Array, "..."]]):
         self._move_others()
         self._look()
         found = [self._judge(*given) for given in zip(egos, before, pairs, strict=True)]
-        reward = sum(
-            self.reward(one) for one, counted in zip(found, counts, strict=True) if counted
-        )
+        rewards = [self.reward(one) for one, new in zip(found, counts, strict=True) if new]
         failed = any(one.collided or one.left_road for one in found)
         ended = failed or all(ego.reached for ego in egos)
         out_of_time = self._step >= self._end and not ended
