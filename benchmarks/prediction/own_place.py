@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import torch
+
 from benchmarks.prediction.places import make_drawn_scene
 from benchmarks.prediction.real_places import KARLSRUHE, read_karlsruhe
 from benchmarks.prediction.results import Metrics, Workspace, compute_differences, write_results
@@ -22,10 +24,12 @@ from geoaim.cli.train import BATCH_SIZE, STEPS
 from geoaim.prediction.baselines import BASELINES, Predictor, replay
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, configure_fine_tuning
-from geoaim.prediction.dataset import Dataset, hold_out_agents, make_dataset
+from geoaim.prediction.dataset import Dataset, cut_beginnings, hold_out_agents, make_dataset
 from geoaim.prediction.evaluation import RECORDING, EvalConfig, judge
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import average_seeds
+from geoaim.prediction.predict import DRAWS, choose_covering
+from geoaim.prediction.segments import Segments
 from geoaim.prediction.training import learn_place, train
 from geoaim.rendering.scene import Scene
 from geoaim.simulation.road_rules import RoadRules
@@ -107,13 +111,36 @@ def make_place_dataset(model: ITRA, scenes: Sequence[Scene], progress: Progress)
 
 
 def train_place(
-    model: ITRA, dataset: Dataset, folder: Path, progress: Progress, *, seed: int = 0
+    model: ITRA, scenes: Sequence[Scene], folder: Path, progress: Progress, *, seed: int = 0
 ) -> ITRA:
     """Fine-tune a model on a place and give it a network of the place, as `geoaim train` does."""
+    dataset = make_place_dataset(model, scenes, progress)
     config = configure_fine_tuning("vehicle", steps=STEPS, batch_size=BATCH_SIZE, seed=seed)
-    return learn_place(train(model, config, dataset, folder, progress=progress), dataset)
+    trained = train(model, config, dataset, folder, progress=progress)
+    return learn_place(trained, dataset, _cut_whole(model, scenes))
 
 
+def _cut_whole(model: ITRA, scenes: Sequence[Scene]) -> Segments | None:
+    return cut_beginnings(scenes, model.config, FRACTION, MAX_HISTORY_STEPS + HORIZON)
+
+
+def cover(predict: Predictor) -> Predictor:
+    """Draw `DRAWS` futures and keep those that cover them, as `predict` does."""
+
+    def predict_covering(segments, ground, *, history, samples, generator):  # type: ignore[no-untyped-def]
+        given = {"history": history, "samples": DRAWS, "generator": generator}
+        drawn = predict(segments, ground, **given)
+        moved = segments.controlled & segments.present[:, :, history - 1]
+        chosen = [
+            choose_covering(futures[:, agents, history:, :2].flatten(1, 2), samples)
+            for futures, agents in zip(drawn, moved, strict=True)
+        ]
+        return torch.stack([f[index] for f, index in zip(drawn, chosen, strict=True)])
+
+    return predict_covering
+
+
+COVERING = "before, covering 24 draws"
 BEFORE, PLACE, AFTER, PLAIN = "before", "network of the place", "after", "plain network"
 
 
@@ -124,12 +151,16 @@ def _train(
     model = read_pretrained("vehicle")
     began = time.perf_counter()
     dataset = make_place_dataset(model, recording.scenes, workspace.progress)
-    known = learn_place(model, dataset)
+    known = learn_place(model, dataset, _cut_whole(model, recording.scenes))
     seconds = time.perf_counter() - began
-    predictors: dict[str, Predictor] = {BEFORE: model.sample, PLACE: known.sample}
+    predictors: dict[str, Predictor] = {
+        BEFORE: model.sample,
+        COVERING: cover(model.sample),
+        PLACE: known.sample,
+    }
     for seed in range(SEEDS):
         folder = workspace.models / f"own_place_{place.replace(' ', '_')}_{seed}"
-        trained = train_place(model, dataset, folder, workspace.progress, seed=seed)
+        trained = train_place(model, recording.scenes, folder, workspace.progress, seed=seed)
         predictors[f"{AFTER} {seed}"] = trained.sample
     taken = (time.perf_counter() - began - seconds) / SEEDS + seconds
     minutes = {PLACE: seconds / 60, AFTER: taken / 60}

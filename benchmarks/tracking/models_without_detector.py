@@ -19,7 +19,7 @@ import cv2
 import torch
 import typer
 
-from benchmarks.prediction.own_place import FRACTION, make_place_dataset, train_place
+from benchmarks.prediction.own_place import FRACTION, train_place
 from benchmarks.results import JsonFile, print_rows, write_rows
 from benchmarks.tracking.benchmark import KINDS, TEST_SEED, VALIDATION_SEED
 from benchmarks.tracking.filmed_cases import FilmedCase, film_drawn
@@ -61,8 +61,7 @@ def measure_case(case: FilmedCase, folder: Path | None) -> dict[str, Any]:
         assert plain is not None
         predictors[f"plain network, {name} tracks"] = plain.sample
         if folder is not None:
-            dataset = make_place_dataset(model, [scene], no_progress)
-            tuned = train_place(model, dataset, folder / f"{case.name} {name}", no_progress)
+            tuned = train_place(model, [scene], folder / f"{case.name} {name}", no_progress)
             predictors[f"ITRA, {name} tracks"] = tuned.sample
     if folder is not None:
         predictors["ITRA before"] = model.sample

@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 
 from geoaim.base.defaults import SAMPLES
-from geoaim.base.errors import TracksError, warn
+from geoaim.base.errors import warn
 from geoaim.base.progress import Progress
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
@@ -133,23 +133,16 @@ def train_on_beginning(
 ) -> "PlainNetwork | None":
     """Train the plain network on what comes before the end of scenes; None if that is too short."""
     from geoaim.prediction.config import MAX_HISTORY_STEPS
-    from geoaim.prediction.dataset import cut_moving_and_parked, split_scene
+    from geoaim.prediction.dataset import cut_beginnings
     from geoaim.prediction.plain import train_plain
-    from geoaim.prediction.segments import concat
 
-    if fraction == 1.0 or model.config.motion == "slide":
+    if model.config.motion == "slide":
         return None
-    steps, parts = MAX_HISTORY_STEPS + get_horizon(model), []
-    for scene in scenes:
-        try:
-            parts.append(
-                cut_moving_and_parked(split_scene(scene, fraction)[0], model.config, steps)
-            )
-        except TracksError:
-            continue
-    if not parts:
+    steps = MAX_HISTORY_STEPS + get_horizon(model)
+    segments = cut_beginnings(scenes, model.config, fraction, steps)
+    if segments is None:
         return None
-    return train_plain(concat(parts), model.config, history=MAX_HISTORY_STEPS)
+    return train_plain(segments, model.config, history=MAX_HISTORY_STEPS)
 
 
 def _evaluate_on_windows(

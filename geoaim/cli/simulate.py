@@ -1,14 +1,14 @@
 """Commands that render agents on a map and simulate them; the default size of a view."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from geoaim.base.progress import Progress, report_each
 from geoaim.cli import options
 from geoaim.cli.console import console, print_table, report_errors, show_progress
-from geoaim.cli.inputs import SceneFiles, SceneSource, read_scene, take_scene_files
+from geoaim.cli.inputs import SceneFiles, SceneSource, load_model, read_scene, take_scene_files
 from geoaim.cli.outputs import TRACKS, check_output
 
 if TYPE_CHECKING:
@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
     from geoaim.rendering.scene import Scene
     from geoaim.simulation.episodes import Episode
+    from geoaim.simulation.simulator import Traffic
 
-PolicyName = Literal["idm", "constant-velocity", "constant-turn-rate", "replay"]
+PolicyName = Literal["idm", "itra", "constant-velocity", "constant-turn-rate", "replay"]
 DEFAULT_SIZE_PX, DEFAULT_EXTENT_M = 512, 80.0  # sides of a view
 # options of a simulation's video
 VIDEO = {"size": DEFAULT_SIZE_PX, "extent": DEFAULT_EXTENT_M, "trail": 2.0}
@@ -69,6 +70,11 @@ def simulate(
     output: Annotated[Path, options.output("simulated tracks, .csv or .parquet, to write")],
     tracks: options.SceneTracks = None,
     policy: Annotated[PolicyName, typer.Option(help="policy of the controlled agents")] = "idm",
+    weights: Annotated[
+        Path | None,
+        typer.Option(help="model.pt of itra; the pretrained one of vehicles if omitted"),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="random seed of itra", min=0)] = 0,
     ego: Annotated[
         str | None,
         typer.Option(
@@ -95,12 +101,14 @@ def simulate(
     """Simulate agents by a policy, and count infractions beside those of the recording.
 
     All agents that are not controlled replay their tracks. Policies: idm (intelligent driver
-    model on the recorded path), constant-velocity, constant-turn-rate, replay. --drivable and
-    --stop-lines replace those of the HD map.
+    model on the recorded path), itra (as the model drives), constant-velocity, constant-turn-rate,
+    replay. --drivable and --stop-lines replace those of the HD map.
 
     Example: geoaim simulate map.tif --tracks samples/tracks.csv --hdmap samples/map.osm
     --lights samples/lights.csv -o simulated.csv
     """
+    import torch
+
     from geoaim.base.files import atomic_files
     from geoaim.hdmap.drivable import read_drivable_area
     from geoaim.rendering.scene import find_agent, make_tracks
@@ -114,13 +122,13 @@ def simulate(
             check_output(video, (".mp4", ".gif"), [aim])
             if ego is None:
                 raise ValueError("--video needs --ego, the agent at its centre")
-        source = SceneSource(aim, tracks, **files)
-        scene, roads, world = read_scene(source)
+        driver, rate = _load_driver(policy, weights)
+        scene, roads, world = read_scene(SceneSource(aim, tracks, **files), rate=rate)
         area = None if drivable is None else read_drivable_area(drivable, world)
         rules = make_road_rules(roads, area, world=world)
-        episode = simulate_scene(
-            scene, policy, ego=ego, start=start, duration=duration, rules=rules
-        )
+        given: dict[str, Any] = {"ego": ego, "start": start, "duration": duration, "rules": rules}
+        generator = torch.Generator().manual_seed(seed)
+        episode = simulate_scene(scene, driver, generator=generator, **given)
         with atomic_files(output, *([] if video is None else [video])) as parts:
             write_tracks(make_tracks(episode.scene, world), parts[0])
             if video is not None and ego is not None:
@@ -129,6 +137,18 @@ def simulate(
                 _film_agent(episode.scene, agent, steps, parts[1], progress, **VIDEO)
     title = f"{output}: {int(episode.controlled.sum())} agents by {policy}; shares of their steps:"
     print_table(title, _list_rates(episode))
+
+
+def _load_driver(policy: str, weights: Path | None) -> "tuple[str | Traffic, float | None]":
+    """Load the model of a policy that has one, and the rate of its steps, 1/s."""
+    if policy != "itra":
+        if weights is not None:
+            raise ValueError(f"--weights are of a model, and {policy} has none; add --policy itra")
+        return policy, None
+    from geoaim.prediction.policies import make_traffic
+
+    model = load_model(weights)
+    return make_traffic(model), 1 / model.config.dt
 
 
 def _list_rates(episode: "Episode") -> dict[str, str]:

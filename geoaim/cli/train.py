@@ -102,7 +102,12 @@ def train(
     Example: geoaim train map.tif --tracks samples/tracks.csv --val-fraction 0.4 -o model
     """
     from geoaim.prediction.checkpoints import write_model
-    from geoaim.prediction.config import configure_fine_tuning, configure_training
+    from geoaim.prediction.config import (
+        MAX_HISTORY_STEPS,
+        configure_fine_tuning,
+        configure_training,
+    )
+    from geoaim.prediction.dataset import cut_beginnings
     from geoaim.prediction.report import plot_training
     from geoaim.prediction.training import learn_place
     from geoaim.prediction.training import train as train_model
@@ -143,7 +148,9 @@ def train(
             raise
         plot_training(output / "log.csv", output / "curves.png")
         if windows is None:
-            placed = learn_place(trained, dataset)
+            steps_seen = MAX_HISTORY_STEPS + get_horizon(trained)
+            whole = cut_beginnings(scenes_read, trained.config, val_fraction, steps_seen)
+            placed = learn_place(trained, dataset, whole)
             if placed.own_place is not None:
                 write_model(placed, output / "model.pt")
             before = None if scratch else model

@@ -21,7 +21,7 @@ from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, bootstrap_interval, compute_metrics, summarise
 from geoaim.prediction.plain import PlainNetwork, train_plain
 from geoaim.prediction.plans import Goal
-from geoaim.prediction.policies import ITRAPolicy
+from geoaim.prediction.policies import ITRAPolicy, make_traffic
 from geoaim.prediction.predict import predict
 from geoaim.prediction.rollouts import Rollout
 from geoaim.prediction.segments import Segments
@@ -56,6 +56,7 @@ __all__ = [
     "init_model",
     "learn_place",
     "make_dataset",
+    "make_traffic",
     "predict",
     "read_model",
     "read_pretrained",

@@ -84,6 +84,16 @@ def cut_scene(scene: Scene, group: str) -> Segments:
     return _cut(scene, *_choose_all(scene, mask_agents(scene, group)), round(scene.dt, 6))
 
 
+def cut_simulation(scene: Scene, controlled: Bool[Tensor, "N"]) -> Segments:
+    """Cut one segment of all steps and agents of a scene, in which some agents are simulated.
+
+    Agents enter in their recorded states, which need not be known from the past alone.
+    """
+    agents = torch.arange(len(scene.ids), device=controlled.device)[None]
+    whole = replace(scene, observed=scene.states)
+    return _cut(whole, agents, controlled[None], round(scene.dt, 6))
+
+
 def cut_future(scene: Scene, group: str, dt: float, *, steps: slice, start: int) -> Segments:
     """Cut one segment that controls all agents of a group that are present at the step `start`.
 

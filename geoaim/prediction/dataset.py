@@ -125,6 +125,23 @@ def cut_moving_and_parked(scene: Scene, config: Config, steps: int | None = None
     return concat([moving, pick(parked, slice(None, None, thinning))])
 
 
+def cut_beginnings(
+    scenes: Sequence[Scene], config: Config, fraction: float, steps: int
+) -> Segments | None:
+    """Cut what comes before the last `fraction` of scenes as `cut_moving_and_parked` does.
+
+    Returns:
+        Segments of all agents; None where none is there for long enough.
+    """
+    parts = []
+    for scene in scenes if fraction < 1.0 else ():
+        try:
+            parts.append(cut_moving_and_parked(split_scene(scene, fraction)[0], config, steps))
+        except TracksError:
+            continue
+    return concat(parts) if parts else None
+
+
 def hold_out_agents(segments: Segments) -> tuple[Segments, Segments]:
     """Split segments of single agents by agent: those to train on, and those to choose by.
 

@@ -2,17 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from geoaim.prediction.checkpoints import read_pretrained
+from geoaim.prediction.cutting import cut_simulation
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.plans import Goal
 from geoaim.prediction.segments import Segments, make_segment_scenario
 from geoaim.rendering.ground import Ground
-from geoaim.simulation.simulator import Scenario
+from geoaim.rendering.prefiltering import prefilter_ground
+from geoaim.rendering.scene import Scene
+from geoaim.simulation.simulator import Policy, Scenario, Traffic
 
 MOTION = {"vehicle": "bicycle", "pedestrian": "unicycle"}  # motion models of the simulator
 
@@ -98,3 +103,39 @@ class ITRAPolicy:
         actions = path.new_zeros(*path.shape[:2], 2)
         row = controlled.segment, controlled.agent
         return actions.index_put(row, self.model.scale_action(action))
+
+
+def make_traffic(model: ITRA | None = None) -> Traffic:
+    """Make traffic that drives as ITRA samples, for `simulate_scene` and `DrivingEnv`.
+
+    Args:
+        model: a model without trajectory proposals; None: the vehicle model of the package.
+
+    Returns:
+        The traffic; scenes need the model's dt.
+
+    Raises:
+        ValueError: the model has trajectory proposals, which end with their horizon.
+
+    >>> make_traffic().group
+    'vehicle'
+    """
+    driver = read_pretrained("vehicle") if model is None else model
+    if driver.config.num_anchors:
+        raise ValueError(
+            "the model has trajectory proposals, which end with their horizon; give one without"
+        )
+
+    @lru_cache(maxsize=1)  # episodes of one scene share the map
+    def prefilter(ground: Ground) -> Ground:
+        return prefilter_ground(ground, driver.config.resolution)
+
+    def make_policy(
+        piece: Scene, controlled: Bool[Tensor, "A"], history: int, generator: torch.Generator
+    ) -> Policy:
+        given: dict[str, Any] = {"history": history, "generator": generator}
+        segments = cut_simulation(piece, controlled)
+        policy = ITRAPolicy(driver, segments, prefilter(piece.ground), **given)
+        return torch.no_grad()(policy.__call__)
+
+    return Traffic(driver.config.kind, make_policy)

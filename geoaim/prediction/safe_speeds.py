@@ -1,7 +1,8 @@
 """Safe speeds: how fast an agent may go on its arc so that it can still stop.
 
 Every agent is continued on the arc of its curvature, without routes or lanes. Behind somebody on
-that arc, an agent keeps the speed from which it can stop if the one ahead brakes (Gipps 1981).
+that arc, or on another one that leads to it in its own direction, an agent keeps the speed from
+which it can stop if the one ahead brakes (Gipps 1981).
 Where somebody crosses the arc at the time when it would be there, the later one stops before it.
 Before a red light an agent stops if its brakes allow it.
 """
@@ -140,19 +141,44 @@ def _find_leaders(
     sizes: Float[Tensor, "E n 2"],
     there: Bool[Tensor, "E n"],
 ) -> tuple[Tensor, Tensor]:
-    """Gaps to those who are on the arc ahead, infinite for others; and their speeds along it."""
+    """Gaps to those who are ahead on an arc, infinite for others; and their speeds along it.
+
+    The arc is that of the agent's curvature, or the one that leads from its heading to the other's
+    place, if it ends near the other's heading too: round a bend that is yet to come.
+    """
     along, aside = _project(pose, curvature, others[..., :2])
     turn = others[..., 2] - pose[:, None, 2] - curvature[:, None] * along
     length, width = _measure_extents(turn, sizes)
     stands = others[..., 3].abs() < MIN_SPEED_MPS
     unknown = stands & (turn.cos().abs() < UNKNOWN_COSINE)
     width = torch.where(unknown, sizes[..., 1], width)
-    gap = along - (size[:, None, 0] + length) / 2
     pace = others[..., 3] * turn.cos()
     touches = aside.abs() < (size[:, None, 1] + width) / 2 + SIDE_MARGIN_M
-    oncoming = pace < -MIN_SPEED_MPS
-    ahead = there & touches & (along > 0) & ~oncoming
-    return torch.where(ahead, gap, torch.inf), pace.clamp_min(0)
+    ahead = there & touches & (along > 0) & (pace >= -MIN_SPEED_MPS)
+    gap = torch.where(ahead, along - (size[:, None, 0] + length) / 2, torch.inf)
+    room = _find_round_bends(pose, size, others, sizes)
+    leads = there & (room < gap)
+    pace = torch.where(leads, others[..., 3], pace)
+    return torch.where(leads, room, gap), pace.clamp_min(0)
+
+
+def _find_round_bends(
+    pose: Float[Tensor, "E 4"],
+    size: Float[Tensor, "E 2"],
+    others: Float[Tensor, "E n 4"],
+    sizes: Float[Tensor, "E n 2"],
+) -> Float[Tensor, "E n"]:
+    """Gaps to those whom an arc reaches in their own direction; infinite for others.
+
+    An arc turns by twice the angle at which its end is seen.
+    """
+    x, y = agent_from_world(pose[:, None], others[..., :2]).unbind(-1)
+    bend = wrap_angle(others[..., 2] - pose[:, None, 2])
+    distance = (x.square() + y.square()).clamp_min(1e-6).sqrt()
+    aside = distance * (bend / 2 - torch.atan2(y, x.clamp_min(1e-3)))
+    reaches = aside.abs() < (size[:, None, 1] + sizes[..., 1]) / 2 + SIDE_MARGIN_M
+    reaches &= (x > 0) & (bend.cos() > 0)
+    return torch.where(reaches, distance - (size[:, None, 0] + sizes[..., 0]) / 2, torch.inf)
 
 
 def _find_crossings(  # noqa: PLR0913  (as above)

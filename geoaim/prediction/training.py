@@ -142,15 +142,20 @@ def train(
     return parts.model.eval()
 
 
-def learn_place(model: ITRA, dataset: Dataset, *, history: int = MAX_HISTORY_STEPS) -> ITRA:
+def learn_place(
+    model: ITRA, dataset: Dataset, whole: Segments | None, *, history: int = MAX_HISTORY_STEPS
+) -> ITRA:
     """Give a model a network of one place, which is trained in seconds.
 
-    minADE in validation decides whether it is kept. Models with trajectory proposals, of several
-    places, and of segments that end with what is observed get none.
+    minADE in validation decides whether there is one; it then learns from all agents, also those
+    that were held out, as far as is predicted. Models with trajectory proposals, of several places,
+    and of segments that end with what is observed get none.
 
     Args:
         model: a trained model.
         dataset: training and validation segments of a place.
+        whole: segments of all agents, as long as what is observed and predicted
+            (`cut_beginnings`); None: there are none, and the network stays as it was validated.
         history: observed steps.
 
     Returns:
@@ -163,7 +168,11 @@ def learn_place(model: ITRA, dataset: Dataset, *, history: int = MAX_HISTORY_STE
     learned = copy.deepcopy(model)
     learned.own_place = train_plain(train, model.config, history=history, place=True)
     before, after = (_measure_min_ade(one, val, ground, history, 0) for one in (model, learned))
-    return learned if after < before else model
+    if after >= before:
+        return model
+    if whole is not None:
+        learned.own_place = train_plain(whole, model.config, history=history, place=True)
+    return learned
 
 
 def find_best_step(log: Sequence[Mapping[str, float]]) -> int:

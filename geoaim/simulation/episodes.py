@@ -14,7 +14,7 @@ from geoaim.simulation.idm import make_idm_policy
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, check_rules
 from geoaim.simulation.routes import extract_routes
 from geoaim.simulation.scene_infractions import detect_infractions
-from geoaim.simulation.simulator import constant_turn_rate, constant_velocity
+from geoaim.simulation.simulator import Traffic, constant_turn_rate, constant_velocity
 from geoaim.simulation.spawning import rollout_routes
 from geoaim.tracks.agent_types import select_group
 
@@ -41,14 +41,15 @@ class Episode:
     recorded_rates: Mapping[str, float]  # the same of the recording of the same agents and times
 
 
-def simulate_scene(
+def simulate_scene(  # noqa: PLR0913  (what is simulated, and how)
     scene: Scene,
-    policy: str,
+    policy: str | Traffic,
     *,
     ego: str | None = None,
     start: float | None = None,
     duration: float | None = None,
     rules: RoadRules = NO_ROAD_RULES,
+    generator: torch.Generator | None = None,
 ) -> Episode:
     """Simulate a part of a scene, in which a policy controls one agent or all of them.
 
@@ -56,13 +57,15 @@ def simulate_scene(
 
     Args:
         scene: the recording.
-        policy: "idm", "constant-velocity", "constant-turn-rate" or "replay".
+        policy: "idm", "constant-velocity", "constant-turn-rate", "replay", or traffic, such as
+            `geoaim.prediction.make_traffic` makes of a model.
         ego: name of the controlled agent; None: all agents that never reverse; of these, "idm"
-            controls the vehicles only.
+            controls the vehicles only, and traffic those of its group.
         start: time at which the simulation begins, seconds; None: the scene's first.
         duration: duration of the simulation, seconds, including the first `HISTORY_STEPS` steps;
             None: 6 seconds, or up to the end of the scene.
         rules: the road rules; infractions of missing rules are not counted.
+        generator: source of the noise of traffic; None: a new one with the seed 0.
 
     Returns:
         The simulated scene, and the rates of infractions in it and in its recording.
@@ -74,9 +77,16 @@ def simulate_scene(
     """
     rules = check_rules(scene, rules)
     first, steps = _find_steps(scene, start, duration)
-    controlled = _select_controlled(scene, first, steps, ego, vehicles=policy == "idm")
+    group = policy.group if isinstance(policy, Traffic) else None
+    if policy == "idm" and ego is None:
+        group = "vehicle"
+    controlled = _select_controlled(scene, first, steps, ego, group)
     given = scene, controlled, first, steps
-    simulated = _simulate_idm(*given) if policy == "idm" else _simulate_policy(policy, *given)
+    if isinstance(policy, Traffic):
+        generator = generator or torch.Generator().manual_seed(0)
+        simulated = _simulate_traffic(policy, *given, generator)
+    else:
+        simulated = _simulate_idm(*given) if policy == "idm" else _simulate_policy(policy, *given)
     recorded = slice_scene(scene, slice(first, first + steps))
     rates, recorded_rates = (
         _count_infractions(part, controlled, rules) for part in (simulated, recorded)
@@ -106,28 +116,62 @@ def _find_steps(scene: Scene, start: float | None, duration: float | None) -> tu
 
 
 def _select_controlled(
-    scene: Scene, first: int, steps: int, ego: str | None, *, vehicles: bool
+    scene: Scene, first: int, steps: int, ego: str | None, group: str | None
 ) -> Bool[Tensor, "A"]:
-    """Mark the ego, or all agents (or vehicles) that never reverse, present in two steps."""
-    present = scene.present[:, first + HISTORY_STEPS - 1 : first + steps]
-    moves = present[:, :-1] & present[:, 1:]  # (A, S)
-    if ego is None:
-        reverses = (scene.speeds[:, first:] <= REVERSING_SPEED_MPS).any(dim=1)
-        controlled = moves.any(dim=1) & ~reverses
-        if vehicles:
-            types = select_group(scene.types, "vehicle")
-            controlled &= torch.from_numpy(types).to(controlled.device)
-        if not controlled.any():
+    """Mark the ego, or all agents (of a group) that never reverse, present in two steps."""
+    if ego is not None:
+        agent = find_agent(scene, ego)
+        if not bool(scene.present[agent, first + HISTORY_STEPS - 1 :][:2].all()):
+            raise TracksError(f"agent {ego} is not present at {float(scene.times[first]):g} s")
+        if group is not None and not select_group(scene.types, group)[agent]:
             raise TracksError(
-                f"no {'vehicle' if vehicles else 'agent'} can be controlled: none that never "
-                "reverses is present in these steps; start at another time, or give an ego"
-                f"{' or another policy, as idm drives vehicles alone' if vehicles else ''}"
+                f"agent {ego} is a {scene.types[agent]}, and the policy moves {group}s; give "
+                "another ego or policy"
             )
-        return controlled
-    agent = find_agent(scene, ego)
-    if not bool(moves[agent, 0]):
-        raise TracksError(f"agent {ego} is not present at {float(scene.times[first]):g} s")
-    return torch.arange(len(moves), device=moves.device) == agent
+        return torch.arange(len(scene.ids), device=scene.present.device) == agent
+    controlled = select_movable(scene, first, steps, group)
+    if not controlled.any():
+        raise TracksError(
+            f"no {group or 'agent'} can be controlled: none that never reverses is present in "
+            "these steps; start at another time, or give an ego"
+            f"{f' or another policy, as this one moves {group}s alone' if group else ''}"
+        )
+    return controlled
+
+
+def select_movable(
+    scene: Scene, first: int, steps: int, group: str | None = None
+) -> Bool[Tensor, "A"]:
+    """Mark the agents that never reverse and are present in two steps after the first ones.
+
+    Args:
+        scene: the recording.
+        first: index of the first step.
+        steps: number of steps, of which `HISTORY_STEPS` are replayed.
+        group: a group of agent types; None: all agents.
+    """
+    present = scene.present[:, first + HISTORY_STEPS - 1 : first + steps]
+    reverses = (scene.speeds[:, first:] <= REVERSING_SPEED_MPS).any(dim=1)
+    movable = (present[:, :-1] & present[:, 1:]).any(dim=1) & ~reverses
+    if group is not None:
+        movable &= torch.from_numpy(select_group(scene.types, group)).to(movable.device)
+    return movable
+
+
+def _simulate_traffic(
+    traffic: Traffic,
+    scene: Scene,
+    controlled: Bool[Tensor, "A"],
+    first: int,
+    steps: int,
+    generator: torch.Generator,
+) -> Scene:
+    """Simulate agents by a policy that is made for this piece."""
+    piece = slice_scene(scene, slice(first, first + steps))
+    act = traffic.make_policy(piece, controlled, HISTORY_STEPS, generator)
+    scenario = simulator.make_scenario(scene, torch.tensor([first]), steps)
+    states = simulator.rollout(scenario, act, controlled[None], history=HISTORY_STEPS)
+    return simulator.apply_rollout(scene, states[0], first)
 
 
 def _simulate_policy(

@@ -6,6 +6,7 @@ raises ValueError.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 import torch.nn.functional as F
@@ -35,6 +36,12 @@ class Drivable:
     grid_from_world: Float[Tensor, "*B 2 3"]  # metres to pixels (corner origin)
     # left, top, right and bottom edge of each scene's part of the raster; None: all of it
     regions: Int[Tensor, "*B 4"] | None = None
+
+    @cached_property
+    def resolution(self) -> Float[Tensor, "*B"]:
+        """Metres per pixel, which takes a tenth of a step of `DrivingEnv` to compute."""
+        with torch.inference_mode(False), torch.no_grad():
+            return compute_resolutions(self.grid_from_world)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +118,7 @@ def sample_distance(drivable: Drivable, points: Float[Tensor, "... 2"]) -> Float
     distance = F.grid_sample(raster, grid.to(raster), padding_mode="border", align_corners=False)
     offset = pixels - torch.minimum(torch.maximum(pixels, low), high)
     beyond = offset.abs().sum(-1) > 0
-    resolution = _align(compute_resolutions(drivable.grid_from_world), 0, points)
+    resolution = _align(drivable.resolution, 0, points)
     extra = torch.where(beyond[..., None], offset, 1.0).norm(dim=-1) * resolution
     return distance.to(points).view(points.shape[:-1]) + torch.where(beyond, extra, 0.0)
 

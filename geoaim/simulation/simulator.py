@@ -57,6 +57,20 @@ class Scenario:
 Policy = Callable[[Scenario, Float[Tensor, "B A t 4"]], Float[Tensor, "B A 2"]]
 
 
+@dataclass(frozen=True)
+class Traffic:
+    """A policy that is made anew for each piece of a scene, as that of a model that reads its map.
+
+    Attributes:
+        group: the agents that it moves: "vehicle", "pedestrian" or "cyclist".
+        make_policy: makes the policy of a piece (A agents), of a mask of those that it moves, the
+            number of first steps in which all agents replay, and a source of noise.
+    """
+
+    group: str
+    make_policy: Callable[[Scene, Bool[Tensor, "A"], int, torch.Generator], Policy]
+
+
 def make_scenario(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Scenario:
     """Cut pieces of equal length out of a scene.
 

@@ -79,3 +79,16 @@ def test_simulate_uses_hand_drawn_areas_and_stop_lines(tmp_path):
     assert "off road │ 100 %, recorded 100 %" in output
     assert "red light" in output
     assert "wrong way" not in output
+
+
+def test_simulate_by_the_model_that_comes_with_the_package(tmp_path):
+    write_aim(draw_hdmap(read_hdmap("samples/map.osm"), resolution=0.5), tmp_path / "aim.tif")
+    given = ["simulate", f"{tmp_path}/aim.tif", "--tracks", "samples/tracks.csv", "--start", "4"]
+    given += ["--duration", "1", "-o", f"{tmp_path}/out.csv"]
+    result = run(app, [*given, "--policy", "itra", "--ego", "12"])
+    assert result.exit_code == 0, result.output
+    assert "1 agents by itra" in result.output
+    assert len(read_tracks(tmp_path / "out.csv").times) == 11
+    result = run(app, [*given, "--weights", "model.pt"])
+    assert result.exit_code == 1
+    assert "idm has none; add --policy itra" in " ".join(result.output.split())

@@ -17,7 +17,7 @@ from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.networks import build_cnn
 from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
-from geoaim.prediction.predict import predict
+from geoaim.prediction.predict import DRAWS, predict
 from geoaim.prediction.training import init_model
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.rendering.scene import make_scene, slice_scene
@@ -221,5 +221,25 @@ def test_baselines_replay_agents_that_are_not_controlled(scene):
 
 
 def test_futures_that_need_too_much_memory_are_refused(scene):
-    with pytest.raises(ValueError, match=r"6 futures of .* agents .* GB .* a shorter duration"):
+    with pytest.raises(ValueError, match=r"24 futures of .* agents .* GB .* a shorter duration"):
         predict(ITRA(TINY).eval(), scene, horizon=10**9, generator=noise())
+
+
+def test_the_futures_that_are_given_cover_those_that_are_drawn(scene):
+    model = init_model(replace(TINY, latent_scale=3.0))
+    given = {"horizon": 10, "start": 60}
+    drawn, six, one = (
+        predict(model, scene, samples=samples, generator=noise(), **given).states[..., :2]
+        for samples in (DRAWS, 6, 1)
+    )
+    known = torch.isfinite(drawn[0, :, 0, 0])
+    drawn, six, one = (states[:, known] for states in (drawn, six, one))
+    assert all(any(torch.equal(path, other) for other in drawn) for path in six)
+    assert torch.equal(six[0], one[0])
+
+    def expect(chosen):
+        apart = (drawn[:, None] - chosen).norm(dim=-1).mean(dim=(2, 3))
+        return float(apart.amin(dim=1).mean())
+
+    assert expect(one) <= min(expect(drawn[[k]]) for k in range(DRAWS)) + 1e-6
+    assert expect(six) < expect(drawn[:6])

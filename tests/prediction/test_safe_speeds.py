@@ -52,6 +52,20 @@ def test_a_car_stops_behind_who_stands_on_its_arc(other, stops):
         assert 30 < fronts[-1] < other[0] - 4.5 / 2 - 1
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_leader_round_a_bend_that_is_yet_to_come_is_seen(side):
+    pose = torch.tensor([[0.0, 0.0, 0.0, 8.0]])  # straight on until now
+    radius, turned = 15.0, torch.tensor(0.9)
+    x, y = radius * float(turned.sin()), side * radius * float(1 - turned.cos())
+    heads = {"on the bend": 0.9, "straight on": 0.0, "towards": 0.9 - torch.pi, "across": -0.7}
+    safe = {
+        name: float(meet((x, y, side * angle, 0.5))(pose, torch.zeros(1)))
+        for name, angle in heads.items()
+    }
+    assert 4 < safe.pop("on the bend") < 9
+    assert set(safe.values()) == {torch.inf}
+
+
 def test_a_car_stops_for_a_pedestrian_who_gets_there_first():
     pedestrian = (25.0, -2.5, torch.pi / 2, 1.4)
     near = meet(pedestrian, (0.5, 0.6))

@@ -10,9 +10,20 @@ from gymnasium.utils.env_checker import check_env
 
 from benchmarks.simulation.environment import drive_random_steps, make_sample_environment
 from geoaim.base.errors import TracksError
-from geoaim.simulation.environment import EGO_VALUES, NEIGHBOURS, ROAD_POINTS, DrivingEnv, EnvConfig
+from geoaim.rendering.ground import View
+from geoaim.rendering.layers import EGO_COLOUR
+from geoaim.simulation.environment import (
+    EGO_VALUES,
+    NEIGHBOURS,
+    RENDERED,
+    ROAD_POINTS,
+    DrivingEnv,
+    EnvConfig,
+)
 from geoaim.simulation.infractions import detect_offroad
 from geoaim.simulation.kinematics import bicycle
+from geoaim.simulation.simulator import Traffic
+from geoaim.tracks.agent_types import select_group
 
 
 @pytest.fixture(scope="module")
@@ -22,23 +33,35 @@ def env():
 
 def follow_recording(env):
     """The actions that move the ego as recorded, from -1 to 1."""
-    agent = env.scene.ids.index(env._describe()["ego"])
+    ego = env._driven[0]
     limits = torch.tensor([env.config.max_acceleration, env.config.max_steering])
     while True:
-        state = torch.from_numpy(env._state)
-        wanted = env.scene.states[agent, env._step + 1]
-        action = bicycle.inverse(state, wanted, env.scene.sizes[agent, 0], env.scene.dt) / limits
+        state = torch.from_numpy(ego.state)
+        wanted = env.scene.states[ego.agent, env._step + 1]
+        action = (
+            bicycle.inverse(state, wanted, env.scene.sizes[ego.agent, 0], env.scene.dt) / limits
+        )
         yield action.clamp(-1, 1).nan_to_num().numpy()
 
 
+FORMS = {
+    "plain": {},
+    "image and pictures": {"view": View(48, 40, 1.0), "render_mode": "rgb_array"},
+    "two egos": {"egos": 2, "view": View(24, 24, 2.0)},
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.filterwarnings("ignore:.*WARN.*")  # of an environment outside of the registry
 @pytest.mark.usefixtures("unchecked")
-def test_gymnasium_finds_no_fault(env):
-    check_env(env, skip_render_check=True)
+def test_gymnasium_finds_no_fault(env, form):
+    own = DrivingEnv(env.scene, env.rules, **FORMS[form])
+    check_env(own, skip_render_check=own.render_mode is None)
 
 
 def test_recorded_drive_reaches_its_goal(env):
     _, info = env.reset(seed=3)
-    start = np.linalg.norm(env._goal - env._state[:2])
+    start = np.linalg.norm(env._driven[0].goal - env._driven[0].state[:2])
     total = 0.0
     for action in follow_recording(env):
         _, reward, terminated, truncated, info = env.step(action)
@@ -66,11 +89,11 @@ def test_observation_is_what_lies_around_the_ego(env):
     assert env.observation_space.contains(observation)
     assert info["ego"] in env.scene.ids
     speed, x, y, distance, left = observation[:EGO_VALUES]
-    assert speed == env._state[3]
+    assert speed == env._driven[0].state[3]
     assert distance == pytest.approx(np.hypot(x, y), rel=1e-5)
-    heading = env._state[2]
+    heading = env._driven[0].state[2]
     east = x * np.cos(heading) - y * np.sin(heading)
-    assert east == pytest.approx(env._goal[0] - env._state[0], abs=1e-3)
+    assert east == pytest.approx(env._driven[0].goal[0] - env._driven[0].state[0], abs=1e-3)
     assert 0 < left <= env.config.duration
     road = observation[EGO_VALUES : EGO_VALUES + len(ROAD_POINTS)]
     assert road[ROAD_POINTS.index((0.0, 0.0))] < 0
@@ -97,7 +120,10 @@ def test_the_road_is_left_where_the_rates_count_it(env):
         terminated = truncated = False
         while not (terminated or truncated):
             _, _, terminated, truncated, info = env.step(np.zeros(2, np.float32))
-            pose, size = torch.from_numpy(env._state[None, :3]), env.scene.sizes[env._agent][None]
+            pose, size = (
+                torch.from_numpy(env._driven[0].state[None, :3]),
+                env.scene.sizes[env._driven[0].agent][None],
+            )
             offroad, _ = detect_offroad(env.rules.drivable, pose, size, torch.ones(1).bool())
             assert info["left_road"] == bool(offroad)
         ends.add(info["left_road"])
@@ -106,8 +132,8 @@ def test_the_road_is_left_where_the_rates_count_it(env):
 
 def test_collision_ends_the_episode(env):
     env.reset(seed=2)
-    other = env._others[0][0]
-    env._state = other.copy()
+    other = env._driven[0].others[0][0]
+    env._driven[0].state = other.copy()
     _, _, terminated, _, info = env.step(np.zeros(2, np.float32))
     assert terminated
     assert info["collided"]
@@ -117,7 +143,7 @@ def test_braking_stops_and_does_not_reverse(env):
     env.reset(seed=4)
     for _ in range(60):
         _, _, terminated, truncated, _ = env.step(np.array([-1.0, 0.0], np.float32))
-        assert env._state[3] >= -1e-5
+        assert env._driven[0].state[3] >= -1e-5
         if terminated or truncated:
             break
 
@@ -164,14 +190,14 @@ def test_actions_that_are_not_two_numbers_are_refused(env, action):
 
 def test_steps_outside_an_episode_are_refused(env):
     new = DrivingEnv(env.scene, env.rules, config=EnvConfig(duration=3.0))
-    still = np.array([-1.0, 0.0], np.float32)
+    brake = np.array([-1.0, 0.0], np.float32)
     with pytest.raises(ResetNeeded, match="call reset before step"):
-        new.step(still)
+        new.step(brake)
     new.reset(seed=0)
-    while not any(new.step(still)[2:4]):
+    while not any(new.step(brake)[2:4]):
         pass
     with pytest.raises(ResetNeeded, match="call reset before step"):
-        new.step(still)
+        new.step(brake)
 
 
 def test_unevenly_spaced_steps_are_refused(env):
@@ -184,6 +210,74 @@ def test_unevenly_spaced_steps_are_refused(env):
 def test_scene_without_moving_vehicles_is_refused(env):
     with pytest.raises(TracksError, match="no vehicle is present for 3 s and moves 1e"):
         DrivingEnv(env.scene, config=EnvConfig(min_travel=1e9))
+
+
+def still(egos=1):
+    return np.zeros((egos, 2) if egos > 1 else 2, np.float32)
+
+
+def test_pictures_and_image_observations_show_the_ego_in_the_middle(env):
+    given = {"view": View(64, 64, 0.5), "render_mode": "rgb_array"}
+    own = DrivingEnv(env.scene, env.rules, **given)
+    with pytest.raises(ResetNeeded, match="call reset before render"):
+        own.render()
+    observation, _ = own.reset(seed=3)
+    picture = own.render()
+    assert observation["image"].shape == (64, 64, 3)
+    orange = 255 * np.array(EGO_COLOUR)
+    for image, metres in ((observation["image"], 0.5), (picture, RENDERED.resolution)):
+        middle, off = len(image) // 2, round(1.2 / metres)  # beside the white triangle in front
+        np.testing.assert_allclose(image[middle + off, middle], orange, atol=40)
+    own.step(still())
+    assert (own.render() != picture).any()
+    assert env.render() is None  # without a mode
+    with pytest.raises(ValueError, match="render_mode='human'"):
+        DrivingEnv(env.scene, env.rules, render_mode="human")
+
+
+def test_egos_see_each_other_and_are_judged_apart(env):
+    own = DrivingEnv(env.scene, env.rules, egos=2)
+    observation, info = own.reset(seed=0)
+    assert observation.shape == (2, *env.observation_space.shape)
+    assert len(set(info["ego"])) == 2
+    first, second = own._driven
+    second.state = first.state + np.array([0.5, 0, 0, 0], np.float32)
+    _, reward, terminated, _, info = own.step(still(2))
+    assert terminated
+    assert info["collided"] == [True, True]
+    assert reward < -15
+    _, info = own.reset(options={"ego": info["ego"][::-1]})
+    assert info["ego"] == [own.scene.ids[ego.agent] for ego in own._driven]
+    with pytest.raises(ValueError, match="up to 2 are driven, each once"):
+        own.reset(options={"ego": ["1", "1"]})
+    with pytest.raises(TracksError, match="no 65 vehicles are present"):
+        DrivingEnv(env.scene, env.rules, egos=65)
+
+
+def brake_all(scene, controlled, history, generator):
+    """Traffic that brakes, however it is recorded."""
+
+    def act(scenario, path):
+        actions = torch.zeros_like(path[:, :, -1, :2])
+        actions[..., 0] = -path[:, :, -1, 3] / scenario.dt
+        return actions
+
+    return act
+
+
+def test_traffic_moves_all_other_vehicles(env):
+    own = DrivingEnv(env.scene, env.rules, traffic=Traffic("vehicle", brake_all))
+    own.reset(seed=0)
+    vehicles = select_group(env.scene.types, "vehicle")
+    for _ in range(3):
+        own.step(still())
+    others = vehicles & own._present[own._step - 2 : own._step + 1].all(axis=0)
+    others[own._driven[0].agent] = False
+    recorded = own._recorded[own._step]
+    assert np.abs(recorded[others, 3]).max() > 3
+    assert np.abs(own._now[others, 3]).max() < 1e-4
+    walkers = own._present[own._step] & select_group(env.scene.types, "pedestrian")
+    np.testing.assert_array_equal(own._now[walkers], recorded[walkers])
 
 
 def test_random_driving_goes_on_after_episodes_end(env):

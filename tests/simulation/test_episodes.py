@@ -190,7 +190,8 @@ def test_idm_drives_vehicles_without_overlaps(scene):
 def test_idm_needs_vehicles_or_an_ego(scene):
     people = replace(scene, types=("pedestrian",) * len(scene.types))
     with pytest.raises(
-        TracksError, match=r"no vehicle can be controlled.*or another policy, as idm drives"
+        TracksError,
+        match=r"no vehicle can be controlled.*or another policy, as this one moves vehicles",
     ):
         simulate_scene(people, "idm")
     assert simulate_scene(people, "idm", ego="12", start=4.0).controlled.sum() == 1
