@@ -1,7 +1,7 @@
 """Detection of vehicles in single frames: train the network that is shipped, and judge it.
 
 python -m benchmarks.detection train -o build/experiments/detection
-python -m benchmarks.detection evaluate --json docs/bench/detection.json
+python -m benchmarks.detection evaluate --json docs/bench/detection.json --charts docs/bench
 """
 
 from pathlib import Path

@@ -8,15 +8,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 from numpy import ndarray as Array
 
 from benchmarks.data import find_data
+from benchmarks.detection.examples import HIDDEN, degrade
 from benchmarks.detection.judging import Judged, join, judge_stills
 from benchmarks.detection.scenes import draw_scene
 from benchmarks.detection.stills import JUDGING, Still, read_stills
+from benchmarks.detection.vehicles import get_corners
 from benchmarks.results import Results, Row
 from geoaim.base.errors import GeoaimError
-from geoaim.detection.network import MODEL
+from geoaim.detection.network import MODEL, RESOLUTION
 from geoaim.detection.scale import propose_scale
 from geoaim.detection.vehicles import detect_vehicles
 from geoaim.mapping.video.video import open_video
@@ -25,6 +28,7 @@ EDGES = (0.1, 0.3, 0.5, 0.7, 0.9, 1.0)  # of the bins of probability
 SCALES = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.5)  # told over true
 FRAMES = 4  # by which a scale is proposed
 REPEATS = 9
+TEST_SCENES, PIXELS = 60, 224  # drawn scenes that no network was trained on, and their side
 KHARKIV = 0.42  # metres per pixel, by the corners that come with the video, 0.41 to 0.43
 MODELS = "with stills", "drawings alone"
 
@@ -50,6 +54,7 @@ def measure_detection(drawn: Path) -> Results:
         "detection-curves": draw_curves(judged),
         "detection-reliability": draw_reliability(tables["reliability"]),
         "detection-scales": draw_scales(scales),
+        "detection-failures": draw_failures(),
     }
     return Results("Detection of vehicles in single frames", tables, charts)
 
@@ -202,4 +207,40 @@ def draw_scales(rows: list[Row]) -> Figure:
     left.legend()
     for axes in (left, right):
         axes.grid(alpha=0.3)
+    return figure
+
+
+def draw_failures() -> Figure:
+    """Draw the test scenes on which most went wrong: missed in red, false in orange."""
+    cases = []
+    for seed in range(TEST_SCENES):
+        image, truth, hidden = draw_scene(PIXELS, RESOLUTION, np.random.default_rng(10_000 + seed))
+        truth = truth[
+            (hidden < HIDDEN) & (truth[:, :2] > 0).all(1) & (truth[:, :2] < PIXELS).all(1)
+        ]
+        image = (degrade(image, np.random.default_rng(seed)).transpose(1, 2, 0) * 255).astype(
+            np.uint8
+        )
+        found = detect_vehicles(image, RESOLUTION).get_corners()
+        far = (
+            np.hypot(*(found.mean(axis=1)[:, None] - truth[:, :2]).transpose(2, 0, 1)) * RESOLUTION
+        )
+        missed = truth[far.min(axis=0, initial=np.inf) > 1]
+        false = found[far.min(axis=1, initial=np.inf) > 1]
+        cases.append((len(missed) + len(false), seed, image, missed, found, false))
+    figure = Figure(figsize=(12, 8.2), layout="constrained")
+    worst = sorted(cases, key=lambda case: (-case[0], case[1]))[:6]
+    for axes, (_, _, image, missed, found, false) in zip(
+        figure.subplots(2, 3).ravel(), worst, strict=True
+    ):
+        axes.imshow(image)
+        for corners in found:
+            axes.add_patch(Polygon(corners, fill=False, color="#56B4E9", linewidth=1))
+        for corners in false:
+            axes.add_patch(Polygon(corners, fill=False, color="#E69F00", linewidth=2))
+        for row in missed:
+            axes.add_patch(
+                Polygon(get_corners(*row.tolist()), fill=False, color="red", linewidth=2)
+            )
+        axes.set(xticks=[], yticks=[], xlim=(0, PIXELS), ylim=(PIXELS, 0))
     return figure

@@ -8,7 +8,7 @@ import pandas as pd
 from numpy import ndarray as Array
 
 from geoaim.base.errors import warn
-from geoaim.base.files import atomic_write, check_new_folder
+from geoaim.base.files import atomic_folder, atomic_write
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.detection.scale import Scale, propose_scale
 from geoaim.detection.vehicles import MIN_PROBABILITY, detect_vehicles
@@ -83,7 +83,7 @@ def detect(
     return Found(boxes, names, (video.width, video.height), scale)
 
 
-def write_detections(found: Found, path: Path) -> list[Path]:
+def write_detections(found: Found, path: Path) -> None:
     """Write boxes as a table (.csv), or as a new folder of YOLO's oriented boxes.
 
     Both are read by `read_detections`; the folder by other programs too.
@@ -91,18 +91,16 @@ def write_detections(found: Found, path: Path) -> list[Path]:
     if path.suffix.lower() == ".csv":
         with atomic_write(path) as temporary:
             make_table(found).to_csv(temporary, index=False, float_format="%.3f")
-        return [path]
-    check_new_folder(path)
-    path.mkdir(parents=True, exist_ok=True)
-    for index, boxes in found.boxes.items():
-        name = found.names[index]
-        stem = f"{index:06d}" if name is None else Path(name).stem
-        shares = boxes.get_corners() / found.size
-        rows = zip(shares.reshape(-1, 8), boxes.get_scores(), strict=True)
-        lines = [" ".join(["0", *(f"{v:.6f}" for v in row), f"{p:.3f}"]) for row, p in rows]
-        (path / f"{stem}.txt").write_text("".join(f"{line}\n" for line in lines), "utf-8")
-    (path / "classes.txt").write_text(f"{CLASS}\n", "utf-8")
-    return [path]
+        return
+    with atomic_folder(path) as folder:
+        for index, boxes in found.boxes.items():
+            name = found.names[index]
+            stem = f"{index:06d}" if name is None else Path(name).stem
+            shares = boxes.get_corners() / found.size
+            rows = zip(shares.reshape(-1, 8), boxes.get_scores(), strict=True)
+            lines = [" ".join(["0", *(f"{v:.6f}" for v in row), f"{p:.3f}"]) for row, p in rows]
+            (folder / f"{stem}.txt").write_text("".join(f"{line}\n" for line in lines), "utf-8")
+        (folder / "classes.txt").write_text(f"{CLASS}\n", "utf-8")
 
 
 def make_table(found: Found) -> pd.DataFrame:
