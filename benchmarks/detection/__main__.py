@@ -16,7 +16,7 @@ FOLDER = Path("build/experiments/detection")
 
 @app.command()
 def train(output: Folder = FOLDER, seed: int = 0) -> None:
-    """Train on drawn pictures, then with stills as well; half an hour of one core."""
+    """Train on drawn pictures, then with stills as well; about twenty minutes of one core."""
     from benchmarks.detection.training import train_both
 
     train_both(output, seed)
@@ -42,7 +42,8 @@ def evaluate(
         write_json({"command": command, "machine": describe_machine(), **results.tables}, json)
     for name, figure in results.charts.items():
         if charts is not None:
-            figure.savefig(charts / f"{name}.png", dpi=110)
+            suffix = "jpg" if name == "detection-failures" else "png"
+            figure.savefig(charts / f"{name}.{suffix}", dpi=100)
 
 
 if __name__ == "__main__":

@@ -28,23 +28,15 @@ def export_network(network: Network, path: Path) -> None:
         )
 
 
-def fit_calibration(logits: Array, right: Array) -> dict[str, float]:
-    """Fit the slope and offset of log odds by logistic regression (Platt)."""
-    slope, offset = 1.0, 0.0
-    for _ in range(50):
-        p = 1 / (1 + np.exp(-(slope * logits + offset)))
-        gradient = np.array([((p - right) * logits).sum(), (p - right).sum()])
-        weight = p * (1 - p)
-        hessian = np.array(
-            [
-                [(weight * logits**2).sum(), (weight * logits).sum()],
-                [(weight * logits).sum(), weight.sum()],
-            ]
-        )
-        slope, offset = np.array([slope, offset]) - np.linalg.solve(
-            hessian + 1e-6 * np.eye(2), gradient
-        )
-    return {"slope": round(float(slope), 4), "offset": round(float(offset), 4)}
+def fit_calibration(logits: Array, right: Array, weights: Array) -> dict[str, float]:
+    """Fit the slope and offset of log odds by weighted logistic regression (Platt)."""
+    line = np.array([1.0, 0.0])
+    columns = np.stack([logits, np.ones(len(logits))])
+    for _ in range(60):
+        p = 1 / (1 + np.exp(-line @ columns))
+        hessian = (weights * p * (1 - p) * columns) @ columns.T
+        line = line - np.linalg.solve(hessian, columns @ (weights * (p - right)))
+    return {"slope": round(float(line[0]), 4), "offset": round(float(line[1]), 4)}
 
 
 def write_calibration(calibration: dict[str, float], path: Path) -> None:

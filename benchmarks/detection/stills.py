@@ -10,7 +10,12 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from benchmarks.data import read_image, require_data
+from benchmarks.detection.examples import HIDDEN, degrade
+from benchmarks.detection.scenes import draw_scene
+from benchmarks.detection.vehicles import get_corners
+from geoaim.detection.network import RESOLUTION
 
+DRAWN_PIXELS = 224  # side of a drawn still
 BORDER = 2.0  # metres at the rim where vehicles are cut, and labelled in part only
 
 
@@ -41,15 +46,18 @@ class Still:
     name: str
 
 
+# Nobody states the scales. Munich: rails lie 1.50 m apart, 12.7 pixels (3 %). Songdo: boxes of cars
+# are 4.98 m long in the same people's tracks, and 88 and 95 pixels here (4 %). Minsk: by the labels
+# of cars, which are taken to be 4.5 m long (10 %).
 TRAINING = (
-    StillSet("Munich, street 02", "munich_street02", "*.jpg", 0.125),
-    StillSet("Songdo, still 972", "songdo_stills", "00972.jpg", 0.046, (3,)),
+    StillSet("Munich, street 02", "munich_street02", "*.jpg", 0.118),
+    StillSet("Songdo, still 972", "songdo_stills", "00972.jpg", 0.0555, (3,)),
 )
 JUDGING = (
-    StillSet("Minsk, junction", "minsk_junction", "*.jpg", 0.05),
-    StillSet("Minsk, street", "minsk_street", "*.jpg", 0.065),
-    StillSet("Munich, MOS 74", "munich_mos074", "*.jpg", 0.125),
-    StillSet("Songdo, still 3", "songdo_stills", "00003.jpg", 0.046, (3,)),
+    StillSet("Minsk, junction", "minsk_junction", "*.jpg", 0.055),
+    StillSet("Minsk, street", "minsk_street", "*.jpg", 0.072),
+    StillSet("Munich, MOS 74", "munich_mos074", "*.jpg", 0.118),
+    StillSet("Songdo, still 3", "songdo_stills", "00003.jpg", 0.0525, (3,)),
 )
 
 
@@ -115,3 +123,17 @@ def read_roofs() -> list[Still]:
         boxes = np.array([[u - reach, v - reach, u + reach, v + reach] for u, v in places])
         stills.append(Still(image, 0.149, boxes, np.ones(len(boxes), bool), "Kampala"))
     return stills
+
+
+def draw_stills(number: int) -> Iterator[Still]:
+    """Draw scenes that no network was trained on, as stills with upright boxes."""
+    for seed in range(number):
+        generator = np.random.default_rng(30_000 + seed)
+        image, boxes, hidden = draw_scene(DRAWN_PIXELS, RESOLUTION, generator)
+        seen = degrade(image, np.random.default_rng(seed)).transpose(1, 2, 0)
+        corners = np.array([get_corners(*box) for box in boxes.tolist()]).reshape(-1, 4, 2)
+        bounds = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
+        rim = BORDER / RESOLUTION
+        cut = (boxes[:, :2] < rim).any(1) | (boxes[:, :2] > DRAWN_PIXELS - rim).any(1)
+        image = np.ascontiguousarray(seen * 255).astype(np.uint8)
+        yield Still(image, RESOLUTION, bounds, cut | (hidden > HIDDEN), f"drawn {seed}")

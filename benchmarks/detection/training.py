@@ -19,10 +19,10 @@ from benchmarks.detection.examples import (
     make_upright_target,
 )
 from benchmarks.detection.exporting import export_network, fit_calibration, write_calibration
-from benchmarks.detection.judging import judge_stills
+from benchmarks.detection.judging import join, judge_stills
 from benchmarks.detection.network import Network
 from benchmarks.detection.scenes import draw_scene
-from benchmarks.detection.stills import TRAINING, Still, read_roofs, read_stills, split
+from benchmarks.detection.stills import TRAINING, Still, draw_stills, read_roofs, read_stills, split
 from geoaim.detection.network import read_calibration
 
 PIXELS = 224  # side of an example
@@ -147,7 +147,7 @@ class Stage:
 
 
 DRAWN = Stage(4500, 4e-3, 0)
-WITH_STILLS = Stage(1500, 1.5e-3, 3)
+WITH_STILLS = Stage(1200, 1.5e-3, 3)
 
 
 def train(
@@ -193,13 +193,20 @@ def train_both(folder: Path, seed: int = 0) -> None:
     for stage, name in ((DRAWN, "drawn"), (WITH_STILLS, "vehicles")):
         stills = [[first for first, _ in place] for place in halves] + [read_roofs()]
         train(network, stage, folder / f"{name}.pt", stills=stills, seed=seed)
-        finish(network, [other for place in halves for _, other in place], folder / f"{name}.onnx")
+        validation = [[second for _, second in place] for place in halves]
+        finish(network, [*validation, list(draw_stills(60))], folder / f"{name}.onnx")
 
 
-def finish(network: Network, validation: list[Still], path: Path) -> None:
-    """Export a network, with probabilities that are calibrated on stills of validation."""
+def finish(network: Network, validation: list[list[Still]], path: Path) -> None:
+    """Export a network, with probabilities that are calibrated on places of validation.
+
+    Each place counts alike: most labels are of one place, where little else looks like a vehicle.
+    """
     export_network(network, path)
     write_calibration({"slope": 1.0, "offset": 0.0}, path.with_suffix(".json"))
-    judged = judge_stills(validation, path)
-    write_calibration(fit_calibration(judged.logits, judged.right), path.with_suffix(".json"))
+    judged = [judge_stills(stills, path) for stills in validation]
+    weights = np.concatenate([np.full(len(j.logits), 1 / len(j.logits)) for j in judged])
+    found = join(judged)
+    line = fit_calibration(found.logits, found.right, weights)
+    write_calibration(line, path.with_suffix(".json"))
     read_calibration.cache_clear()

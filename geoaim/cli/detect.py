@@ -16,7 +16,7 @@ def detect(
     ],
     frame_resolution: Annotated[
         float | None,
-        typer.Option(help="metres per pixel of the frames; proposed by their cars if omitted"),
+        typer.Option(help="metres per pixel of the frames; proposed by their vehicles if omitted"),
     ] = None,
     min_probability: Annotated[
         float, typer.Option(help="boxes that are less probable are left out", min=0.01, max=0.99)

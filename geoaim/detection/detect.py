@@ -46,7 +46,7 @@ def detect(
 
     Args:
         source: what `open_video` opens, or one RGB picture of shape (H, W, 3).
-        resolution: metres per pixel; None: proposed by the sizes of cars.
+        resolution: metres per pixel; None: proposed by the vehicles.
         min_probability: boxes below are left out.
         progress: called with the stage, the frames done and the frames in all.
 
@@ -54,7 +54,7 @@ def detect(
         Oriented boxes of each frame, with probabilities.
 
     Raises:
-        GeoaimError: the scale is not given, and too few cars are found to propose one.
+        GeoaimError: the scale is not given, and too few vehicles are found to propose one.
 
     Example:
         >>> found = detect(np.full((240, 320, 3), 90, np.uint8), resolution=0.2)
@@ -121,8 +121,8 @@ def summarize(found: Found) -> dict[str, str]:
     scores = [boxes.get_scores() for boxes in found.boxes.values()]
     counts = [len(part) for part in scores]
     scale, known = found.scale, f"{found.scale.resolution:.3g} m a pixel"
-    if scale.cars:
-        known += f" +- {100 * scale.sigma:.0f} %, proposed by the sizes of {scale.cars} cars"
+    if scale.vehicles:
+        known += f" +- {100 * scale.sigma:.0f} %, proposed by {scale.vehicles} vehicles"
     return {
         "vehicles": f"{sum(counts)} boxes in {len(counts)} frames, {np.median(counts):.0f} in most",
         "probably right": f"{np.concatenate(scores).sum():.0f} of them",
