@@ -295,6 +295,10 @@ def write_stability(results: Row) -> str:
 
 SOURCES = {"robustness": "registration", "length": "pipeline", "tilts": "georeference"}
 SOURCES |= {f"catalog_{name}": "catalog" for name in ("losses", "store", "rows")}
+SOURCES |= {
+    f"detection_{name}": "detection"
+    for name in ("stills", "reliability", "proposed", "wrong", "time")
+}
 SOURCES |= {"plan_country": "unit_costs", "plan_recordings": "unit_costs"}
 SOURCES |= {f"{name}_sizes": name for name in ("registration", "background", "georeference")}
 TABLES: dict[str, Callable[[Row], str]] = {
@@ -315,6 +319,11 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "catalog_losses": lambda results: write_rows(results["losses"]),
     "catalog_store": lambda results: write_rows(results["store"]),
     "catalog_rows": lambda results: write_rows(results["rows_of_tables"]),
+    "detection_stills": lambda results: write_rows(results["stills"]),
+    "detection_reliability": lambda results: write_rows(results["reliability"]),
+    "detection_proposed": lambda results: write_rows(results["proposed_scale"]),
+    "detection_wrong": lambda results: write_rows(results["wrong_scale"]),
+    "detection_time": lambda results: write_rows(results["time"]),
     "plan_country": lambda results: write_rows(results["country"]),
     "plan_recordings": lambda results: write_rows(results["recordings"]),
 }

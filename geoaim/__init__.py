@@ -41,6 +41,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from geoaim import catalog as catalog
+    from geoaim import detection as detection
     from geoaim import hdmap as hdmap
     from geoaim import imagery as imagery
     from geoaim import mapping as mapping
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from geoaim.base.errors import GeoaimError as GeoaimError
     from geoaim.base.errors import GeoaimWarning as GeoaimWarning
     from geoaim.base.world import World as World
+    from geoaim.detection.detect import detect as detect
     from geoaim.hdmap.lanelet2 import HDMap as HDMap
     from geoaim.hdmap.lanelet2 import read_hdmap as read_hdmap
     from geoaim.hdmap.rasterize import draw_hdmap as draw_hdmap
@@ -101,6 +103,7 @@ _MODULE_OF_NAME = {
     "World": "geoaim.base.world",
     "align_tiles": "geoaim.imagery.alignment.pipeline",
     "build_aim": "geoaim.mapping.pipeline",
+    "detect": "geoaim.detection.detect",
     "draw_alignment": "geoaim.imagery.alignment.before_after",
     "draw_hdmap": "geoaim.hdmap.rasterize",
     "draw_quicklook": "geoaim.aim.quicklook",
@@ -128,7 +131,7 @@ _MODULE_OF_NAME = {
     "write_tracks": "geoaim.tracks.files",
 }
 _ROOMS = [
-    *("catalog", "hdmap", "imagery", "mapping", "prediction", "rendering"),
+    *("catalog", "detection", "hdmap", "imagery", "mapping", "prediction", "rendering"),
     *("simulation", "tracking", "tracks"),
 ]
 __all__ = [*_MODULE_OF_NAME, *_ROOMS]

@@ -14,6 +14,7 @@ EXCEPTIONS = ["GeoaimError", "GeoaimWarning"]
 FUNCTIONS = [
     "align_tiles",
     "build_aim",
+    "detect",
     "draw_alignment",
     "draw_hdmap",
     "draw_quicklook",
@@ -41,6 +42,7 @@ FUNCTIONS = [
 ]
 SUBPACKAGES = [
     "catalog",
+    "detection",
     "hdmap",
     "imagery",
     "mapping",

@@ -10,6 +10,7 @@ from geoaim.cli.align import align
 from geoaim.cli.bench import bench
 from geoaim.cli.catalog import app as catalog
 from geoaim.cli.console import DEBUG, Command, CommandGroup, stop_when_terminated
+from geoaim.cli.detect import detect
 from geoaim.cli.evaluate import evaluate
 from geoaim.cli.info import info
 from geoaim.cli.maps import build, draw, frame, register, texture
@@ -24,7 +25,7 @@ from geoaim.cli.train import train
 CATALOG_GROUP = "Make a map"
 GROUPS = {
     CATALOG_GROUP: (place, pick, build, align, draw, frame, register),
-    "Tracks": (track, convert),
+    "Tracks": (detect, track, convert),
     "Look at maps and files": (info, view, render, texture),
     "Simulate and predict": (simulate, predict, compare, evaluate, train),
     "Test and measure": (sample, bench, doctor),

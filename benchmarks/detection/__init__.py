@@ -1,0 +1,1 @@
+"""The detector of vehicles: drawn pictures, training, judging."""
