@@ -13,12 +13,12 @@ MIN_PROBABILITY = 0.5  # a box is more probably right than wrong
 
 
 def detect_vehicles(
-    image: UInt8[Array, "H W 3"], resolution: float, *, min_probability: float = MIN_PROBABILITY
+    image: Array, resolution: float, *, min_probability: float = MIN_PROBABILITY
 ) -> DetectedBoxes:
     """Detect vehicles in a picture from above.
 
     Args:
-        image: RGB.
+        image: RGB of 8 bits, of shape (height, width, 3).
         resolution: metres per pixel, right to 20 %; `propose_scale` finds it.
         min_probability: boxes below are left out.
 

@@ -27,8 +27,8 @@ def measure_overlap(x: Float[Array, "..."], half: Float[Array, "..."]) -> Float[
 
 
 def differentiate_overlap(
-    x: Float[Array, "m"], half: Float[Array, "m"], grad: Float[Array, "m"]
-) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
+    x: Float[Array, "*m"], half: Float[Array, "*m"], grad: Float[Array, "*m"]
+) -> tuple[Float[Array, "*m"], Float[Array, "*m"]]:
     """Compute the gradients of overlaps that are not 0, by `x` and by `half`."""
     on_edge = half + 0.5 - np.abs(x) <= np.minimum(2 * half, 1)
     by_edge = grad * on_edge

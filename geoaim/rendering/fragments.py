@@ -60,7 +60,8 @@ class Fragments:
 
 def sum_by(index: Int[Array, "m"], values: Float[Array, "K m"], count: int) -> Array:
     """Add up values with the same index."""
-    return np.array([np.bincount(index, one, minlength=count) for one in values])
+    sums = [np.bincount(index, one, minlength=count) for one in values]
+    return np.array(sums, np.float64)  # of no values, bincount makes integers
 
 
 def find_boxes(canvas: Canvas, boxes: StackedBoxes) -> PixelBoxes:
