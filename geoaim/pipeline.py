@@ -1,6 +1,6 @@
 """A video all the way: map, tracks, quick look, film and report, in one folder.
 
-The order: the map (`geoaim.mapping`), its scale and place (`geoaim.tracking.scale`,
+The order: the map (`geoaim.mapping`), its scale and place (`geoaim.detection.scale`,
 `geoaim.imagery`), vehicles and tracks (`geoaim.tracking`), a film of them (`geoaim.rendering`).
 """
 
@@ -22,20 +22,19 @@ from geoaim.base.errors import GeoreferenceError, RegistrationError, TracksError
 from geoaim.base.files import MAP_FILE, ROAD_FILES, TRACKS_FILE, atomic_folder, write_figure
 from geoaim.base.progress import Progress, notebook_progress, report_each
 from geoaim.base.world import World
+from geoaim.detection.scale import propose_scale
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.imagery.alignment.placing import place_by_imagery
 from geoaim.imagery.sources import Source
 from geoaim.mapping.georeference.control_points import ControlPointSource
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
-from geoaim.mapping.report import report_georeference, report_position
 from geoaim.mapping.video.detections import DetectionSource
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.rendering.pictures import render_map_video, write_pictures
 from geoaim.rendering.scene import make_scene
 from geoaim.tracking.pipeline import track_video
 from geoaim.tracking.report import WITHOUT_DETECTOR, summarize_tracking
-from geoaim.tracking.scale import SIGMA, propose_scale
 from geoaim.tracks.agent_types import select_group
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.files import write_tracks
@@ -44,6 +43,7 @@ from geoaim.tracks.tracks import Tracks
 
 LOOK_FILE, FILM_FILE, REPORT_FILE = "map.png", "film.mp4", "report.json"
 FILM_RATE = 10.0  # pictures per second
+SCALE_FRAMES = 4  # of a video, by whose vehicles its scale is proposed
 MIN_PREDICTED_S = 1.0  # observed seconds from which models predict
 MIN_TRAINING_S = 60.0  # of tracks from which a model is trained with profit
 MIN_TRAINING_AGENTS = 7  # one of seven is held out
@@ -104,7 +104,7 @@ def place_video(
     """Make a map of a video, track its vehicles, and write all of it into a new folder.
 
     The map is placed by control points, by imagery or by the telemetry beside the video. Without
-    any of these it lies in a plane of its own, in which most vehicles are as large as cars.
+    any of these it lies in a plane of its own, at the scale at which vehicles look like vehicles.
 
     Args:
         video: what `open_video` opens.
@@ -177,8 +177,7 @@ def _build(video: Video, evidence: Evidence, progress: Progress) -> AIM:
         except GeoreferenceError:
             if evidence.points is not None:
                 raise
-            plane = make_local_georeference(resolution=1.0, size=size)
-            aim = _scale(video, build_aim(video, plane, **chosen), progress)
+            aim = _build_by_vehicles(video, chosen)
     if evidence.imagery is not None:
         aim = place_by_imagery(
             aim,
@@ -190,18 +189,17 @@ def _build(video: Video, evidence: Evidence, progress: Progress) -> AIM:
     return aim if aim.is_affine else rectify(aim)
 
 
-def _scale(video: Video, aim: AIM, progress: Progress) -> AIM:
-    """Give a map in pixels the scale at which its vehicles are as large as cars."""
-    proposed = propose_scale(video, aim, progress=progress)
-    place = make_local_georeference(
-        resolution=proposed.resolution, size=(video.height, video.width)
+def _build_by_vehicles(video: Video, chosen: dict[str, Any]) -> AIM:
+    """Build a map in a plane of its own, at the scale at which vehicles look like vehicles."""
+    images = [frame.image for frame in video.sample(SCALE_FRAMES)]
+    scale = propose_scale(images, progress=chosen["progress"])
+    size = video.height, video.width
+    aim = build_aim(
+        video, make_local_georeference(resolution=scale.resolution, size=size), **chosen
     )
-    georeference = report_georeference(place, None)
-    georeference["scale_by_vehicles"] = {"boxes": proposed.boxes, "sigma": SIGMA}
-    claims = {"georeference": georeference, "position": report_position(place, None)}
-    kept = {name: value for name, value in aim.report.items() if name != "place"}
-    report = {**kept, **claims}
-    return replace(aim, world_from_image=place.world_from_image, report=report)
+    proposed = {"vehicles": scale.vehicles, "sigma": scale.sigma}
+    georeference = {**aim.report["georeference"], "scale_by_vehicles": proposed}
+    return replace(aim, report={**aim.report, "georeference": georeference})
 
 
 def _copy_roads(
@@ -252,7 +250,7 @@ def _report(aim: AIM, tracks: Tracks | None, evidence: Evidence, reason: str) ->
             "(--points; geoaim pick VIDEO)"
         )
         if evidence.frame_resolution is None:
-            missing["an exact scale"] = "it is that of typical cars; --frame-resolution gives it"
+            missing["an exact scale"] = "it is that of vehicles; --frame-resolution gives it"
     if tracks is None:
         missing["tracks"] = f"{reason}; give the boxes of a detector (--detections)"
         return PlacedVideo(aim, None, known, missing)

@@ -27,12 +27,13 @@ from benchmarks.stills import STILLS
 from benchmarks.tracking.benchmark import KINDS, TEST_SEED, VALIDATION_SEED
 from benchmarks.tracking.filmed_cases import FilmedCase, film_drawn, film_still
 from benchmarks.tracking.scores import BoxView, compute_iou, make_view, match_frames, score_tracks
-from geoaim.base.errors import TracksError
+from geoaim.base.errors import GeoaimError
 from geoaim.base.geometry import transform_points
 from geoaim.base.progress import no_progress
+from geoaim.detection.scale import propose_scale
+from geoaim.mapping.video.video import open_video
 from geoaim.tracking.ground_grid import measure_resolution
 from geoaim.tracking.pipeline import track_video
-from geoaim.tracking.scale import propose_scale
 from geoaim.tracks.agent_types import find_group
 
 SECONDS, STILL_FRAMES = 6.0, 60
@@ -71,8 +72,8 @@ def measure_case(case: FilmedCase) -> dict[str, Any]:
 def _compare_scale(case: FilmedCase) -> float:
     """The scale that is proposed by the vehicles over the true one; NaN where none is."""
     try:
-        proposed = propose_scale(case.video, case.aim, progress=no_progress)
-    except TracksError:
+        proposed = propose_scale([frame.image for frame in open_video(case.video).sample(4)])
+    except GeoaimError:
         return np.nan
     return proposed.resolution / measure_resolution(
         np.linalg.inv(case.frame_from_world[0]), case.size

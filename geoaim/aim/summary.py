@@ -74,8 +74,7 @@ def _summarize_georeference(georeference: Mapping[str, Any]) -> Lines:
         lines["scale"] = "as given; nothing in the frames checks it"
         if proposed := georeference.get("scale_by_vehicles"):
             lines["scale"] = (
-                f"proposed: {proposed['boxes']} boxes of vehicles are as large as cars, to about "
-                f"{proposed['sigma']:.0%} (1 sigma)"
+                f"proposed by {proposed['vehicles']} vehicles, to {proposed['sigma']:.0%} (1 sigma)"
             )
     elif uncertainty := georeference.get("uncertainty"):
         lines["uncertainty (95 %)"] = (

@@ -8,7 +8,6 @@ from geoaim.base.errors import GeoreferenceError
 from geoaim.base.geometry import make_similarity
 from geoaim.base.world import World, choose_world, world_from_lonlat
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.mapping.georeference.posterior import PRIOR_SIGMA
 from geoaim.mapping.georeference.transform_models import (
     Posterior,
     compose_world_from_image,
@@ -18,6 +17,8 @@ from geoaim.mapping.georeference.transform_models import (
 GPS_SIGMA_M = 3.0  # standard deviation of a GPS position in each axis
 COMPASS_SIGMA = np.radians(5.0)
 TILT_SIGMA = np.radians(3.0)  # tilt of a camera that telemetry says looks straight down
+# stretch and shear, perspective (by that tilt, over half the diagonal) and lens of such a camera
+TERM_SIGMA = np.array([0.01, 0.01, 0.05, 0.05, 0.005])
 SCALE_SIGMA = 0.05  # share: height above the ground, field of view
 
 
@@ -73,7 +74,7 @@ def _assume_georeference(
     similarity_sigmas: Float[Array, "4"],
 ) -> Georeference:
     """A similarity without control points, with the stated sigmas of its four terms."""
-    covariance = np.diag(np.concatenate([similarity_sigmas, PRIOR_SIGMA]) ** 2)
+    covariance = np.diag(np.concatenate([similarity_sigmas, TERM_SIGMA]) ** 2)
     posterior = Posterior(np.zeros(9), covariance, np.zeros(9), np.nan, np.inf, np.nan)
     return Georeference(
         world_from_image=compose_world_from_image(world_from_plane, np.zeros(9), size),
