@@ -22,7 +22,7 @@ from geoaim.base.errors import GeoreferenceError, RegistrationError, TracksError
 from geoaim.base.files import MAP_FILE, ROAD_FILES, TRACKS_FILE, atomic_folder, write_figure
 from geoaim.base.progress import Progress, notebook_progress, report_each
 from geoaim.base.world import World
-from geoaim.detection.scale import propose_scale
+from geoaim.detection.scale import FRAMES, propose_scale
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.imagery.alignment.placing import place_by_imagery
 from geoaim.imagery.sources import Source
@@ -43,7 +43,6 @@ from geoaim.tracks.tracks import Tracks
 
 LOOK_FILE, FILM_FILE, REPORT_FILE = "map.png", "film.mp4", "report.json"
 FILM_RATE = 10.0  # pictures per second
-SCALE_FRAMES = 4  # of a video, by whose vehicles its scale is proposed
 MIN_PREDICTED_S = 1.0  # observed seconds from which models predict
 MIN_TRAINING_S = 60.0  # of tracks from which a model is trained with profit
 MIN_TRAINING_AGENTS = 7  # one of seven is held out
@@ -191,7 +190,7 @@ def _build(video: Video, evidence: Evidence, progress: Progress) -> AIM:
 
 def _build_by_vehicles(video: Video, chosen: dict[str, Any]) -> AIM:
     """Build a map in a plane of its own, at the scale at which vehicles look like vehicles."""
-    images = [frame.image for frame in video.sample(SCALE_FRAMES)]
+    images = [frame.image for frame in video.sample(FRAMES)]
     scale = propose_scale(images, progress=chosen["progress"])
     size = video.height, video.width
     aim = build_aim(

@@ -10,13 +10,12 @@ from numpy import ndarray as Array
 from geoaim.base.errors import warn
 from geoaim.base.files import atomic_folder, atomic_write
 from geoaim.base.progress import Progress, notebook_progress
-from geoaim.detection.scale import Scale, propose_scale
+from geoaim.detection.scale import FRAMES, Scale, propose_scale
 from geoaim.detection.vehicles import MIN_PROBABILITY, detect_vehicles
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import VideoSource, open_video
 
-FRAMES = 4  # spread over a video, by which its scale is proposed
 DOUBTFUL = 0.5  # metres per pixel: a car is four pixels wide
 CLASS = "vehicle"
 

@@ -16,6 +16,7 @@ from geoaim.detection.vehicles import resample
 # vehicles that look a fifth larger or smaller than they are
 TRIED = tuple(float(r) for r in np.geomspace(0.015, 0.6, 12))
 FINE = tuple(float(f) for f in 1.15 ** np.arange(-2.0, 2.5))  # around the best of these
+FRAMES = 4  # spread over a video, by which its scale is proposed
 SEARCHED = 2  # frames that are searched at all scales; all of them around the best one
 MAX_PIXELS = 2.0e6  # of a picture that is searched, of the network's resolution: half a second
 MIN_VEHICLES = 5.0
