@@ -6,6 +6,7 @@ Speeds and headings that a file does not state are computed in `formats.motion`.
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -160,6 +161,36 @@ class Tracks(Display):
         `UNCERTAINTY_COLUMNS` too.
         """
         return next(self.iterate_dataframes(None))
+
+    @classmethod
+    def from_dataframe(
+        cls, frame: pd.DataFrame, *, world: World | None = None, frame_rate: float | None = None
+    ) -> "Tracks":
+        """Make tracks of a table with a row for each agent and time.
+
+        Args:
+            frame: the columns `id`, `time` (seconds, or dates), `x` and `y` (the middle, metres)
+                are needed. Without `heading` (radians, counter-clockwise from +x) and `speed`
+                (m/s), those of the positions are taken; without `type` agents are cars, and trucks
+                if they are longer than cars are; without `length` and `width` (metres) they have
+                the typical ones of their type. Further columns are those of `to_dataframe`.
+            world: the plane of x and y. None: a local plane.
+            frame_rate: frames per second, for a table with `frame` in place of `time`.
+
+        Returns:
+            The tracks; implausible values are warned of, as by `geoaim.read_tracks`.
+
+        Raises:
+            TracksError: a column is missing, or a value is missing, repeated or impossible.
+
+        >>> rows = {"id": [7, 7, 7], "time": [0.0, 0.5, 1.0], "x": [0.0, 4.0, 8.0], "y": 0.0}
+        >>> Tracks.from_dataframe(pd.DataFrame(rows)).states[0, 1]
+        array([4., 0., 0., 8.])
+        """
+        # imported by name, since the formats stand above this file
+        module = import_module("geoaim.tracks.formats.dataframes")
+        tracks: Tracks = module.read_dataframe(frame, world=world, frame_rate=frame_rate)
+        return tracks
 
     def iterate_dataframes(self, size: int | None) -> Iterator[pd.DataFrame]:
         """Make the table of `to_dataframe` in parts of so many rows, since long ones fill memory.

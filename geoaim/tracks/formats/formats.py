@@ -9,6 +9,8 @@ from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any
 
+import pandas as pd
+
 from geoaim.base.errors import TracksError, name_option
 from geoaim.base.files import TRACKS_FILE, find_in_folder
 from geoaim.base.limits import check_regular, name_file
@@ -42,7 +44,7 @@ def list_formats() -> tuple[TrackFormat, ...]:
 
 
 def read_tracks(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | pd.DataFrame,
     *,
     world: World | None = None,
     resolution: float | None = None,
@@ -56,7 +58,8 @@ def read_tracks(
 
     Args:
         path: a file in the plain format of `write_tracks` or in that of a public dataset, or the
-            folder of a SinD recording, of one ScenarioNet scenario or of `geoaim place`.
+            folder of a SinD recording, of one ScenarioNet scenario or of `geoaim place`. A
+            DataFrame is read by `Tracks.from_dataframe`.
         world: the CRS and origin of x and y, for formats in metres that do not state them, those
             with "world" in their `TrackFormat.options` (geo-trax takes the CRS only). None: the
             plane of a `meta_data.csv` beside a file of the INTERACTION format, or a local plane.
@@ -75,6 +78,10 @@ def read_tracks(
         ValueError: a required option is missing, the format does not take a given option, or
             the resolution is not positive.
     """
+    if isinstance(path, pd.DataFrame):
+        if resolution is not None:
+            raise ValueError("a DataFrame is in metres; omit resolution=, and scale its x and y")
+        return Tracks.from_dataframe(path, world=world, frame_rate=frame_rate)
     path = find_in_folder(path, TRACKS_FILE)
     track_format = detect_format(path)
     options = {"world": world, "resolution": resolution, "frame_rate": frame_rate}
