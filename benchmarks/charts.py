@@ -45,7 +45,7 @@ def draw_fronts(
             axes.plot(u, v, "D" if ours else "o", color=OURS if ours else OTHERS, markersize=6)
         axes.set(title=title, xlabel=labels[0], ylabel=labels[1])
         axes.margins(0.2)
-        _scale_axes(axes)
+        scale_axes(axes)
     figure.draw_without_rendering()  # so that the axes have their sizes
     for axes, rows in zip(figure.axes, panels.values(), strict=True):
         points = np.array([[row[cost], row[error]] for row in rows], float)
@@ -91,11 +91,11 @@ def _draw_size(axes: Axes, rows: Sequence[Row], key: str) -> None:
         text = axes.annotate("automatic", place, (0, 8), textcoords="offset points", ha="center")
         text.set(color=OURS, fontsize=8)
     axes.margins(0.18, 0.12)
-    _scale_axes(axes)
+    scale_axes(axes)
     axes.set_xticks(x, [f"{size:.4g}" for size in x], fontsize=8)
 
 
-def _scale_axes(axes: Axes) -> None:
+def scale_axes(axes: Axes) -> None:
     """Make both axes logarithmic, with plain numbers and a grid."""
     axes.set(xscale="log", yscale="log")
     axes.grid(alpha=0.25)

@@ -9,6 +9,7 @@ validation videos (`--validation`); the test videos were judged once. TrackEval 
 """
 
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -115,7 +116,9 @@ def measure_case(
     """Measure a tracker on a case: a row for vehicles, and one for people."""
     given = case.boxes, case.world_from_frame, case.truth.times, case.truth.world, case.size
     heights = {} if case.flying_height is None else {"flying_height": case.flying_height}
+    start = time.process_time()
     result = track(*given, **(heights if track is track_boxes else {}))
+    ms = 1e3 * (time.process_time() - start) / len(case.boxes)
     found, own = (result, None) if isinstance(result, Tracks) else (result.tracks, result.boxes)
     for name, groups in GROUPS.items():
         kept = [
@@ -130,7 +133,8 @@ def measure_case(
             shown = np.isfinite(own).all(axis=2) & kept[1][:, None]
             views[1] = BoxView(found, own, shown)
         if views[0].visible.any():
-            yield {"video": case.name, "agents of": name} | score_tracks(*views)
+            scores = score_tracks(*views)
+            yield {"video": case.name, "agents of": name} | scores | {"ms a frame": ms}
 
 
 def measure_drawn(seed: int, kinds: tuple[PlaceKind, ...] = KINDS) -> list[dict[str, Any]]:

@@ -6,7 +6,7 @@ import cv2
 import pandas as pd
 
 from benchmarks.registration.methods import list_methods
-from benchmarks.registration.stability.charts import CASE, draw_errors, draw_verdicts
+from benchmarks.registration.stability.charts import CASE, draw_strips
 from benchmarks.registration.stability.clips import SweepCase, list_cases, make_clip
 from benchmarks.registration.stability.judge import (
     compare_methods,
@@ -68,5 +68,5 @@ def make_results(frames: pd.DataFrame) -> Results:
         "totals": [totals],
         "rows": [dict(zip(table.columns, row, strict=True)) for row in table.to_numpy()],
     }
-    charts = {"errors": draw_errors(frames), "verdicts": draw_verdicts(table)}
+    charts = {"strips": draw_strips(frames)}
     return Results("Registration of clips that are hard in one way each", tables, charts)

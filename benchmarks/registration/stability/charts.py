@@ -1,38 +1,38 @@
-"""Tables and charts of a sweep: error against disturbance, breakpoints, stated uncertainty.
+"""Tables and charts of a sweep: outcomes by level, breakpoints, stated uncertainty.
 
 python -m benchmarks.registration.stability.charts build/stability/*.json -o build/stability
 """
 
-from json import loads
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import pandas as pd
 import typer
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
 
 from benchmarks.registration.stability.judge import (
-    MAX_RIGHT_ERROR_PX,
-    VERDICTS,
     compare_methods,
     count_silent,
     find_best_ranks,
-    is_of_rival,
     measure_rejections,
-    read_best_ranks,
     summarise,
 )
+from benchmarks.registration.stability.kinds import KINDS
 from benchmarks.results import JsonFile, describe_machine, format_table, write_json
 from geoaim.base.files import atomic_write
 
 CASE = ["method", "kind", "rank", "level", "generator", "base", "size", "seed"]
-COLOURS = ("#009E73", "#DDDDDD", "#56B4E9", "#E69F00", "#000000")  # colours of the verdicts
-# lines of the methods, this library first; colour-blind readers tell them apart by their dashes as
-# well
-LINES = (("#D55E00", "-"), ("#0072B2", "--"), ("#CC79A7", "-."), ("#009E73", ":"))
-PANEL_COLUMNS = 7
-SMALLEST_PX, LARGEST_PX = 0.003, 300.0  # limits of the charts' error axis
+# what a reader asks of a frame, with the verdicts that answer it and their colour
+OUTCOMES = {
+    "right": (("right",), "#009E73"),
+    "refused": (("rejected",), "#DDDDDD"),
+    "wrong, and said": (("wrong but uncertain",), "#56B4E9"),
+    "wrong, and sure": (("understated", "wrong and overconfident"), "#000000"),
+}
 
 
 def write_cases(frames: pd.DataFrame, path: Path) -> None:
@@ -75,66 +75,55 @@ def write_report(frames: pd.DataFrame, folder: Path, name: str) -> str:
     ]
     text = "\n".join(lines)
     (folder / f"{name}.md").write_text(text + "\n", encoding="utf-8")
-    for suffix in ("svg", "png"):
-        draw_errors(frames).savefig(folder / f"{name}-errors.{suffix}", dpi=75)
-        draw_verdicts(table).savefig(folder / f"{name}-verdicts.{suffix}", dpi=100)
+    draw_strips(frames).savefig(folder / f"{name}.png", dpi=100)
     return text
 
 
-def draw_errors(frames: pd.DataFrame) -> Figure:
-    """Draw error against disturbance, a panel for each kind.
+def draw_strips(frames: pd.DataFrame) -> Figure:
+    """Draw what became of the frames of each kind by level, a column of strips for each method.
 
-    Lines are medians over the frames that a method did not reject, bands reach to their 90th
-    percentile, a mark's size is the share of frames not rejected, and the dotted line is what this
-    library stated.
+    A cell is a level, harmless on the left; its colours are the shares of its frames by outcome.
+    The levels are written in the cells of the first method.
     """
-    kinds = list(frames.kind.unique())
-    columns = min(int(np.ceil(np.sqrt(len(kinds)))), PANEL_COLUMNS)
-    rows = -(-len(kinds) // columns)
-    figure = Figure(figsize=(3 * columns + 2, 2.2 * rows + 0.6), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for panel, kind in zip(panels, kinds, strict=False):
-        own = frames[frames.kind == kind]
-        for number, (method, theirs) in enumerate(own.groupby("method", sort=False)):
-            by_level = theirs.groupby("rank")
-            error = by_level.error
-            median, high = error.median(), error.quantile(0.9)
-            share = by_level.error.apply(lambda e: e.notna().mean())
-            colour, style = LINES[number % len(LINES)]
-            panel.plot(median.index, median, style, color=colour, label=str(method))
-            panel.scatter(median.index, median, 30 * share + 1, color=colour)
-            panel.fill_between(median.index, median, high, color=colour, alpha=0.12)
-            if method == "geoaim":
-                stated = theirs[theirs.error.notna()].groupby("rank").stated.median()
-                panel.plot(stated.index, stated, ":", color="black", label="stated by geoaim")
-        levels = own.groupby("rank")["level"].first()
-        panel.set_xticks(levels.index, [f"{level:g}" for level in levels], fontsize=7)
-        panel.set(yscale="log", ylim=(SMALLEST_PX, LARGEST_PX))
-        panel.set_title(kind, fontsize=8)
-        panel.axhline(MAX_RIGHT_ERROR_PX, color="grey", linewidth=0.6)
-    for panel in panels[len(kinds) :]:
-        panel.set_axis_off()
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
-    figure.supylabel("largest error in the frame, px")
+    kinds = list(dict.fromkeys(frames.kind))
+    methods = list(dict.fromkeys(frames.method))
+    figure = Figure(figsize=(9, 0.24 * len(kinds) + 1), layout="constrained")
+    panels = figure.subplots(
+        1, len(methods), squeeze=False, width_ratios=[2] + [1] * (len(methods) - 1)
+    )
+    for axes, method in zip(panels[0], methods, strict=True):
+        own = frames[frames.method == method]
+        for row, kind in enumerate(kinds):
+            _draw_strip(axes, own[own.kind == kind], row, has_levels=method == methods[0])
+        axes.set(xlim=(0, 1), ylim=(len(kinds) - 0.5, -0.5), xticks=[])
+        axes.set_title(method, fontsize=9)
+        axes.set_yticks([])
+        axes.set_frame_on(False)
+    units = [f"{kind} ({KINDS[kind].unit})" for kind in kinds]
+    panels[0, 0].set_yticks(range(len(kinds)), units, fontsize=8)
+    panels[0, 0].tick_params(length=0)
+    patches = [Patch(facecolor=colour, label=name) for name, (_, colour) in OUTCOMES.items()]
+    figure.legend(handles=patches, loc="outside upper center", ncols=len(patches), fontsize=9)
+    figure.supxlabel("each row: its levels, from harmless on the left to hopeless", fontsize=9)
     return figure
 
 
-def draw_verdicts(table: pd.DataFrame) -> Figure:
-    """Draw the share of each verdict on this library's frames, a bar for each kind."""
-    figure = Figure(figsize=(9, 0.22 * len(table) + 1.2), layout="constrained")
-    axes = figure.subplots()
-    left = np.zeros(len(table))
-    for verdict, colour in zip(VERDICTS, COLOURS, strict=True):
-        share = (table[verdict] / table.frames).to_numpy()
-        axes.barh(table.kind, share, left=left, color=colour, label=verdict)
-        left += share
-    axes.invert_yaxis()
-    axes.margins(y=0.01)
-    axes.tick_params(labelsize=7)
-    axes.set(xlim=(0, 1), xlabel="share of frames, all levels")
-    figure.legend(loc="outside upper center", ncols=len(VERDICTS), fontsize=8)
-    return figure
+def _draw_strip(axes: Axes, frames: pd.DataFrame, row: int, *, has_levels: bool) -> None:
+    """Draw the cells of one kind."""
+    levels = frames.groupby("rank")
+    width = 1 / len(levels)
+    for number, (_, own) in enumerate(levels):
+        left = number * width
+        for verdicts, colour in OUTCOMES.values():
+            share = 0.94 * width * float(own.verdict.isin(verdicts).mean())
+            axes.barh(row, share, left=left, height=0.86, color=colour)
+            left += share
+        if has_levels:
+            middle = (number + 0.47) * width
+            text = axes.text(middle, row, f"{own.level.iloc[0]:.2g}", fontsize=6.5)
+            text.set(
+                ha="center", va="center", path_effects=[withStroke(linewidth=1.5, foreground="w")]
+            )
 
 
 def main(
@@ -142,9 +131,6 @@ def main(
     output: Annotated[Path, typer.Option("-o", help="folder to write")] = Path("build/stability"),
     name: Annotated[str, typer.Option(help="of the split and of the files")] = "validation",
     json: JsonFile = None,
-    earlier: Annotated[
-        Path | None, typer.Option(help="earlier JSON of the split, for the other methods")
-    ] = None,
     command: Annotated[str, typer.Option(help="that made the sweep, for the JSON")] = "",
 ) -> None:
     """Write the table and the charts of finished sweeps, and the tables as JSON."""
@@ -152,24 +138,18 @@ def main(
     frames = read_cases(files)
     print(write_report(frames, output, name))
     if json is not None:
-        methods, rows = compare_methods(frames), summarise(frames).to_dict("records")
-        best_ranks = find_best_ranks(frames)
-        if earlier is not None:
-            known = loads(earlier.read_text(encoding="utf-8"))
-            best_ranks = read_best_ranks(name, known["rows"])
-            methods += [row for row in known["methods"] if row["method"] != "geoaim"]
-            theirs = {row["kind"]: row for row in known["rows"]}
-            for row in rows:
-                known_of_kind = theirs.get(row["kind"], {})  # none of a newer kind
-                row |= {key: v for key, v in known_of_kind.items() if is_of_rival(key)}
         content = {
             "command": command,
             "machine": describe_machine(),
             "clips": frames[frames.method == "geoaim"].groupby(CASE).ngroups,
-            "methods": methods,
+            "methods": compare_methods(frames),
             "totals": count_silent(frames)
-            | {"rejected_below_best_breakpoint": measure_rejections(frames, best_ranks)},
-            "rows": rows,
+            | {
+                "rejected_below_best_breakpoint": measure_rejections(
+                    frames, find_best_ranks(frames)
+                )
+            },
+            "rows": summarise(frames).to_dict("records"),
         }
         write_json(content, json)
 

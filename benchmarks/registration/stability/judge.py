@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from benchmarks.registration.stability.clips import Clip, list_cases, make_check_points
+from benchmarks.registration.stability.clips import Clip, make_check_points
 from geoaim.base.geometry import transform_points
 
 MAX_RIGHT_ERROR_PX = 1.0
@@ -159,29 +159,6 @@ def find_best_ranks(frames: pd.DataFrame) -> dict[str, int]:
         ranks = (find_breakpoint(one) for _, one in theirs.groupby("method"))
         best[str(kind)] = max(ranks, default=-1)
     return best
-
-
-def read_best_ranks(split: str, rows: list[dict[str, Any]]) -> dict[str, int]:
-    """Read the breakpoint of the best other method in each kind, from rows of `summarise`.
-
-    Args:
-        split: split of the sweep that the rows are from.
-        rows: rows of an earlier sweep.
-
-    Returns:
-        The rank of the last level, by kind; -1 for none.
-    """
-    best = {}
-    for row in rows:
-        ranks = {f"{case.level:g}": case.rank for case in list_cases(split, [row["kind"]])}
-        levels = [level for key, level in row.items() if is_of_rival(key)]
-        best[row["kind"]] = max(ranks.get(level, -1) for level in levels)
-    return best
-
-
-def is_of_rival(key: str) -> bool:
-    """Whether a column of `summarise` is the breakpoint of another method."""
-    return key.endswith(" up to") and not key.startswith("geoaim")
 
 
 def measure_rejections(frames: pd.DataFrame, best_ranks: dict[str, int]) -> float:
