@@ -5,11 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from benchmarks.curves import find_best_size, find_pareto_front
 from benchmarks.results import Row
-from geoaim.base.labels import label_points
+from geoaim.base.labels import label_points, scale_axes
 
 # colours of Okabe and Ito, which colour-blind readers can tell apart; the marks differ as well
 OURS, OTHERS, KNEE = "#D55E00", "#0072B2", "#009E73"
@@ -93,16 +92,3 @@ def _draw_size(axes: Axes, rows: Sequence[Row], key: str) -> None:
     axes.margins(0.18, 0.12)
     scale_axes(axes)
     axes.set_xticks(x, [f"{size:.4g}" for size in x], fontsize=8)
-
-
-def scale_axes(axes: Axes) -> None:
-    """Make both axes logarithmic, with plain numbers and a grid."""
-    axes.set(xscale="log", yscale="log")
-    axes.grid(alpha=0.25)
-    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-        subs = (
-            (1.0, 1.5, *range(2, 10)) if high < 4 * low else (1, 2, 5) if high < 200 * low else (1,)
-        )
-        axis.set_major_locator(LogLocator(subs=subs))
-        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axis.set_minor_formatter(NullFormatter())

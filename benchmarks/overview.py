@@ -15,8 +15,8 @@ import typer
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.charts import OTHERS, OURS, scale_axes
-from geoaim.base.labels import label_points
+from benchmarks.charts import OTHERS, OURS
+from geoaim.base.labels import label_points, scale_axes
 
 BENCH = Path(__file__).parents[1] / "docs" / "bench"
 # a method with its time and error, and whether it is a default of ours

@@ -16,20 +16,23 @@ from skimage.registration import phase_cross_correlation
 from geoaim.base.geometry import from_opencv, translation
 from geoaim.mapping.registration.patches import shrink_image
 from geoaim.mapping.registration.register import choose_reference, register_frames
+from geoaim.mapping.registration.rivals import (
+    Grey,
+    Matrix,
+    RegisterGrey,
+    Rival,
+    match_features,
+    match_orb,
+    maximise_ecc,
+    track_corners,
+)
 from geoaim.mapping.video.video import open_video
 
-Grey = UInt8[Array, "h w"]
-Matrix = Float[Array, "3 3"]
 Matrices = Float[Array, "T 3 3"]
 Registered = tuple[Matrices, list[float]]
 # A method takes frames and vehicle boxes, and returns matrices (NaN where it rejects a frame) and
 # the seconds that each frame took.
 Method = Callable[[Any, list[Array]], Registered]
-MIN_PAIRS = 4  # a homography needs no fewer
-# A rival takes the reference, grey, and returns what registers grey frames to it: a function that
-# returns reference_from_frame, or None where it rejects a frame.
-RegisterGrey = Callable[[Grey], Matrix | None]
-Rival = Callable[[Grey], RegisterGrey]
 
 
 def _register_with_geoaim(frames: Any, boxes: list[Array]) -> Registered:
@@ -96,49 +99,6 @@ def to_grey(frame: UInt8[Array, "H W 3"], shrink: int) -> UInt8[Array, "h w"]:
     return shrink_image(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), shrink)
 
 
-def _match_by_detector(make_detector: Callable[[], Any], norm: int) -> Rival:
-    """Make a rival that registers by features: brute-force matching, MAGSAC++.
-
-    `make_detector` makes one of OpenCV's detectors, whose descriptors have the cv2 norm `norm`.
-    """
-
-    def rival(reference: Grey) -> RegisterGrey:
-        detector, matcher = make_detector(), cv2.BFMatcher(norm, crossCheck=True)
-        reference_points, reference_descriptors = detector.detectAndCompute(reference, None)
-
-        def register(grey: Grey) -> Matrix | None:
-            points, descriptors = detector.detectAndCompute(grey, None)
-            if descriptors is None or reference_descriptors is None:
-                return None
-            pairs = matcher.match(descriptors, reference_descriptors)
-            if len(pairs) < MIN_PAIRS:
-                return None
-            source = np.array([points[pair.queryIdx].pt for pair in pairs])
-            target = np.array([reference_points[pair.trainIdx].pt for pair in pairs])
-            homography, _ = cv2.findHomography(source, target, cv2.USAC_MAGSAC, 2.0)
-            return None if homography is None else from_opencv(homography)
-
-        return register
-
-    return rival
-
-
-def _maximise_ecc(reference: Grey) -> RegisterGrey:
-    """Register by ECC (Evangelidis and Psarakis 2008), from the result of the frame before."""
-    warp: Any = np.eye(3, dtype=np.float32)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-5)
-
-    def register(grey: Grey) -> Matrix | None:
-        nonlocal warp
-        try:
-            _, warp = cv2.findTransformECC(reference, grey, warp, cv2.MOTION_HOMOGRAPHY, criteria)
-        except cv2.error:
-            return None
-        return np.linalg.inv(from_opencv(warp.astype(np.float64)))
-
-    return register
-
-
 def _correlate_phases(reference: Grey) -> RegisterGrey:
     """Register by phase correlation, a translation (Guizar-Sicairos et al. 2008)."""
 
@@ -151,44 +111,18 @@ def _correlate_phases(reference: Grey) -> RegisterGrey:
     return register
 
 
-def _track_corners(reference: Grey) -> RegisterGrey:
-    """Register by KLT from the reference's corners, checked forward and backward."""
-    corners = cv2.goodFeaturesToTrack(reference, 400, 0.005, reference.shape[1] / 32)
-    guess = corners
-    flags = cv2.OPTFLOW_USE_INITIAL_FLOW
-
-    def register(grey: Grey) -> Matrix | None:
-        nonlocal guess
-        forward, is_forward_found, _ = cv2.calcOpticalFlowPyrLK(
-            reference, grey, corners, guess.copy(), flags=flags
-        )
-        backward, is_backward_found, _ = cv2.calcOpticalFlowPyrLK(
-            grey, reference, forward, corners.copy(), flags=flags
-        )
-        guess = forward
-        good = (np.asarray(is_forward_found) & np.asarray(is_backward_found)).ravel().astype(bool)
-        good &= np.hypot(*(backward - corners).reshape(-1, 2).T) < 0.5
-        if good.sum() < MIN_PAIRS:
-            return None
-        homography, _ = cv2.findHomography(forward[good], corners[good], cv2.USAC_MAGSAC, 1.0)
-        return None if homography is None else from_opencv(homography)
-
-    return register
-
-
 def list_methods() -> dict[str, Method]:
     """List all methods that can run here by name; each takes RGB frames and their (n, 4) boxes.
 
     It gives reference_from_frame (T, 3, 3), NaN where rejected, and the seconds of each frame.
     """
-    orb = _match_by_detector(lambda: cv2.ORB.create(2000), cv2.NORM_HAMMING)
-    sift = _match_by_detector(lambda: cv2.SIFT.create(2000), cv2.NORM_L2)
+    sift = match_features(lambda: cv2.SIFT.create(2000), cv2.NORM_L2)
     methods: dict[str, Method] = {
         "geoaim": _register_with_geoaim,
-        "ORB 2000 + MAGSAC": _make_rival_method(orb, 1),
+        "ORB 2000 + MAGSAC": _make_rival_method(match_orb, 1),
         "SIFT 2000 half + MAGSAC": _make_rival_method(sift, 2),
-        "KLT half + MAGSAC": _make_rival_method(_track_corners, 2),
-        "ECC quarter": _make_rival_method(_maximise_ecc, 4),
+        "KLT half + MAGSAC": _make_rival_method(track_corners, 2),
+        "ECC quarter": _make_rival_method(maximise_ecc, 4),
         "phase correlation half": _make_rival_method(_correlate_phases, 2),
     }
     try:

@@ -1,13 +1,19 @@
-"""Settings of the registration at several values: patches, image width, motion model."""
+"""Settings of the registration at several values: patches, image width, motion model.
 
+Sizes are no options of the library, since no scene needs others than the defaults: here the
+constants of `patches` are replaced while a video is registered.
+"""
+
+import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from benchmarks.hover_videos import HoverVideo, film_ground
@@ -15,8 +21,9 @@ from benchmarks.results import Row, collect
 from benchmarks.synthetic import Hover, draw_place, make_place, reference_from_frames
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.progress import Progress
+from geoaim.mapping.registration import patches
 from geoaim.mapping.registration.motion_models import Model
-from geoaim.mapping.registration.own_video import Placements, Setting, register_with
+from geoaim.mapping.registration.register import Reference, choose_reference, register_frames
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import open_video
 
@@ -24,6 +31,26 @@ HOVER = Hover(count=12, drift=18.0)
 # Tilt (px at the corners), yaw and zoom (of those of HOVER), noise (grey levels), seed.
 CASES = tuple(product((0.0, 0.1, 0.4, 1.0), (0.0, 0.2, 1.0), (1.0, 4.0), (3, 4)))
 PARAMETERS: dict[Model, int] = {"translation": 2, "similarity": 4, "affine": 6, "homography": 8}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A setting of the registration; the defaults are the library's."""
+
+    count: int = patches.PATCH_COUNT  # target number of patches
+    side: int = patches.PATCH_SIDE_PX  # side of a patch, pixels
+    reduction: int = 1  # integer factor by which the frame is shrunk
+    model: Model | None = None  # the motion model; None chooses it by the data
+
+
+@dataclass(frozen=True, eq=False)
+class Placements:
+    """Frames registered with a setting."""
+
+    matrices: Float[Array, "T 3 3"]  # (T, 3, 3) reference_from_frame, pixels; NaN where rejected
+    seconds: Float[Array, " T"]  # (T,) processor time of each frame
+    stated: Float[Array, " T"]  # (T,) uncertainty over the image, pixels
+    reference: Reference  # the frame that they are registered to
 
 
 SETTINGS: dict[str, dict[float, Setting]] = {
@@ -108,3 +135,33 @@ def measure_models(quick: bool) -> Iterator[dict[str, Any]]:
 @cache
 def _draw_ground(seed: int) -> UInt8[Array, "H W 3"]:
     return draw_place(make_place(seed, kind="junction"), resolution=0.1)
+
+
+def prepare(frames: Sequence[Frame], setting: Setting) -> Reference:
+    """Prepare the reference, the first frame, for a setting."""
+    with patch.multiple(patches, PATCH_COUNT=setting.count, PATCH_SIDE_PX=setting.side):
+        small = [_shrink(frame, setting.reduction) for frame in frames]
+        video = open_video([frame.grey for frame in small])
+        return choose_reference(video, model=setting.model, time=small[0].time, probes=small)
+
+
+def register_with(
+    frames: Sequence[Frame], setting: Setting, reference: Reference | None = None
+) -> Placements:
+    """Register frames with a setting."""
+    reference = reference or prepare(frames, setting)
+    matrices, seconds, stated = [], [], []
+    scale = np.diag([setting.reduction, setting.reduction, 1.0])
+    with patch.multiple(patches, PATCH_COUNT=setting.count, PATCH_SIDE_PX=setting.side):
+        small = (_shrink(frame, setting.reduction) for frame in frames)
+        start = time.process_time()
+        for _, placed in register_frames(small, reference):
+            seconds.append(time.process_time() - start)
+            matrices.append(scale @ placed.reference_from_frame @ np.linalg.inv(scale))
+            stated.append(placed.uncertainty * setting.reduction)
+            start = time.process_time()
+    return Placements(np.array(matrices), np.array(seconds), np.array(stated), reference)
+
+
+def _shrink(frame: Frame, reduction: int) -> Frame:
+    return Frame(frame.index, frame.time, None, patches.shrink_image(frame.grey, reduction))

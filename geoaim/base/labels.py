@@ -1,4 +1,4 @@
-"""Names beside points of a picture, placed so that they cover neither points nor each other."""
+"""Names beside points of a chart, which cover neither points nor each other; logarithmic axes."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.text import Annotation
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from matplotlib.transforms import Bbox
 from numpy import ndarray as Array
 
@@ -68,3 +69,16 @@ def _count_conflicts(
     crossed = sum([box.x0 < frame.x0, box.x1 > frame.x1, box.y0 < frame.y0, box.y1 > frame.y1])
     own, others = (np.linalg.norm(p - p.clip(box.min, box.max), axis=-1) for p in places)
     return int(2 * box.count_overlaps(taken) + 4 * crossed + (others < own + 3).sum())
+
+
+def scale_axes(axes: Axes) -> None:
+    """Make both axes logarithmic, with plain numbers and a grid."""
+    axes.set(xscale="log", yscale="log")
+    axes.grid(alpha=0.25)
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        subs = (
+            (1.0, 1.5, *range(2, 10)) if high < 4 * low else (1, 2, 5) if high < 200 * low else (1,)
+        )
+        axis.set_major_locator(LogLocator(subs=subs))
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis.set_minor_formatter(NullFormatter())

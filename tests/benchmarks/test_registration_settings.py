@@ -12,10 +12,8 @@ from benchmarks.registration.settings import (
 )
 from benchmarks.synthetic import Hover
 from benchmarks.synthetic.scenery.texture import make_natural_noise
-from geoaim.base.errors import RegistrationError
 from geoaim.base.progress import no_progress
 from geoaim.mapping.registration import patches
-from geoaim.mapping.registration.own_video import SETTINGS, measure_own_video, measure_settings
 from geoaim.mapping.video.video import open_video
 
 pytestmark = pytest.mark.slow
@@ -71,25 +69,6 @@ def test_sizes_have_one_default_each(video, monkeypatch):
     for name in few:
         assert sum(row["default"] for row in rows if row["setting"] == name) == 1
     assert [row["size"] for row in rows if row["automatic"]] == [8]
-
-
-def test_expected_errors_are_near_the_true_ones(video, frames):
-    names = ("geoaim", "a quarter of the patches", "translation", "homography")
-    chosen = {name: SETTINGS[name] for name in names}
-    for row in measure_settings(frames, chosen):
-        error = measure_error(register_with(frames, chosen[row["method"]]), video)
-        assert error / 3 < row["expected error, px"] < 3 * error
-        assert row["registered, %"] == 100
-
-
-def test_own_video_has_a_row_for_each_setting(frames):
-    rows = measure_own_video([frame.image for frame in frames], True, no_progress)
-    assert [row["method"] for row in rows] == list(SETTINGS)
-
-
-def test_a_single_frame_has_no_consistency(frames):
-    with pytest.raises(RegistrationError, match="1 frame"):
-        measure_own_video([frames[0].image], True, no_progress)
 
 
 def test_models_are_compared_in_cases_of_a_camera(monkeypatch, ground):
