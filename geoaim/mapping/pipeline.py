@@ -268,7 +268,8 @@ def _warn_of_limits(
     if typical > MAX_TYPICAL_UNCERTAINTY_PX:
         warn(
             f"frames are registered to about {typical:.1f} px only, since parts of the image move "
-            "apart (relief, waves, rolling shutter): markings may be doubled in the background"
+            "apart (relief, waves, rolling shutter, compression): markings may be doubled in the "
+            "background"
         )
     if background.frames_used < MIN_USED_SHARE * valid.sum():
         warn(

@@ -31,8 +31,9 @@ def check_ground(frames: Iterable[FrameRegistration], size: tuple[int, int]) -> 
     if len(frames) < MIN_FRAMES:
         return
     advice = (
-        "film more of the ground, or when there is less traffic; if the camera stands on a mast or "
-        "a tripod, say so (--fixed-camera)"
+        "traffic, water, rain, a rolling shutter or strong compression may be the cause: film more "
+        "ground that stands still, when there is less of these, or at a higher bit rate; if the "
+        "camera stands on a mast or a tripod, say so (--fixed-camera)"
     )
     ambiguous = sum(MOVING_PART in frame.reason for frame in frames)
     if ambiguous > MAX_AMBIGUOUS_SHARE * len(frames) and not _is_still(frames, size):
