@@ -25,9 +25,9 @@ from geoaim.mapping import build_aim, open_video, read_detections, transform_box
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import Video
 from geoaim.prediction import predict, read_pretrained
+from geoaim.rendering import View, make_scene
 from geoaim.rendering.pictures import render_agent_video
 from geoaim.rendering.scene import Scene, find_agent, find_agent_step, find_step
-from geoaim.simulation import View, make_scene
 from geoaim.tracks.changes import resample_tracks, to_world
 from geoaim.tracks.formats import read_tracks
 from geoaim.tracks.lights import read_lights
