@@ -3,7 +3,7 @@
     python -m benchmarks stale
 
 A result is a JSON file in docs/bench or docs/experiments. It states the commit on which its command
-ran; its stage is the package folders that `STAGES` names for the command. A change of comments,
+ran; its stage is the folders that `STAGES` names for the command. A change of comments,
 docstrings, annotations, imports, the texts of errors, layout or a definition's file is none.
 """
 
@@ -18,22 +18,25 @@ RESULTS = ("docs/bench", "docs/experiments")
 # the folders whose code the results of a command depend on, by how the command begins; the first
 # that fits counts
 STAGES = {
-    "python -m benchmarks.alignment": ("imagery",),
-    "python -m benchmarks.background.own_boxes": ("mapping/background", "tracking"),
-    "python -m benchmarks.background": ("mapping/background", "mapping/registration"),
-    "python -m benchmarks.catalog": ("catalog",),
-    "python -m benchmarks.detection": ("detection",),
-    "python -m benchmarks.georeference": ("mapping/georeference",),
-    "python -m benchmarks.pipeline": ("mapping",),
-    "python -m benchmarks.plain_script": ("mapping",),
-    "python -m benchmarks.prediction": ("prediction",),
-    "python -m benchmarks.registration": ("mapping/registration",),
-    "python -m benchmarks.rendering": ("rendering",),
-    "python -m benchmarks.short_clips": ("mapping/registration", "mapping/background"),
-    "python -m benchmarks.simulation": ("simulation",),
-    "python -m benchmarks.synthetic": (),  # the generator alone, which is no part of the package
-    "python -m benchmarks.tracking": ("tracking",),
-    "python -m benchmarks.viewer": ("web",),
+    "python -m benchmarks.alignment": ("geoaim/imagery",),
+    "python -m benchmarks.background.own_boxes": ("geoaim/mapping/background", "geoaim/tracking"),
+    "python -m benchmarks.background": ("geoaim/mapping/background", "geoaim/mapping/registration"),
+    "python -m benchmarks.catalog": ("geoaim/catalog",),
+    "python -m benchmarks.detection": ("geoaim/detection",),
+    "python -m benchmarks.georeference": ("geoaim/mapping/georeference",),
+    "python -m benchmarks.pipeline": ("geoaim/mapping",),
+    "python -m benchmarks.plain_script": ("geoaim/mapping",),
+    "python -m benchmarks.prediction": ("geoaim/prediction",),
+    "python -m benchmarks.realism": ("benchmarks/synthetic",),
+    "python -m benchmarks.registration": ("geoaim/mapping/registration",),
+    "python -m benchmarks.rendering": ("geoaim/rendering",),
+    "python -m benchmarks.short_clips": (
+        "geoaim/mapping/registration",
+        "geoaim/mapping/background",
+    ),
+    "python -m benchmarks.simulation": ("geoaim/simulation",),
+    "python -m benchmarks.tracking": ("geoaim/tracking",),
+    "python -m benchmarks.viewer": ("geoaim/web",),
     "python -m tests.faults": (),  # what it hurts is the whole package: run before each release
 }
 
@@ -63,7 +66,7 @@ def explain_staleness(content: dict[str, object]) -> str:
     folders = [stage for start, stage in STAGES.items() if command.startswith(start)]
     if not folders:
         return "has a command that benchmarks/stale.py does not know"
-    changed = [name for name in folders[0] if has_changed(commit, f"geoaim/{name}")]
+    changed = [name for name in folders[0] if has_changed(commit, name)]
     return f"{' and '.join(changed)} changed since {commit}" if changed else ""
 
 

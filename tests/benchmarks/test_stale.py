@@ -45,4 +45,4 @@ def test_a_result_is_stale_when_code_of_its_stage_changes(
     module.write_text("import sys\n")
     assert stale.explain_staleness(KNOWN) == ""
     module.write_text(same.replace("n < 0", "n < 1"))
-    assert stale.explain_staleness(KNOWN) == "mapping/georeference changed since HEAD"
+    assert stale.explain_staleness(KNOWN) == "geoaim/mapping/georeference changed since HEAD"
