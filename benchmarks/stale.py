@@ -3,13 +3,14 @@
     python -m benchmarks stale
 
 A result is a JSON file in docs/bench or docs/experiments. It states the commit on which its command
-ran; its stage is the package folders that `STAGES` names for the command. A change of comments,
-docstrings, imports, layout or a file's name is none.
+ran; its stage is the folders that `STAGES` names for the command. A change of comments,
+docstrings, annotations, imports, the texts of errors, layout or a definition's file is none.
 """
 
 import ast
 import json
 from collections.abc import Iterator
+from functools import cache
 
 from benchmarks.results import ROOT, run_git
 
@@ -17,22 +18,25 @@ RESULTS = ("docs/bench", "docs/experiments")
 # the folders whose code the results of a command depend on, by how the command begins; the first
 # that fits counts
 STAGES = {
-    "python -m benchmarks.alignment": ("imagery",),
-    "python -m benchmarks.background.own_boxes": ("mapping/background", "tracking"),
-    "python -m benchmarks.background": ("mapping/background", "mapping/registration"),
-    "python -m benchmarks.catalog": ("catalog",),
-    "python -m benchmarks.detection": ("detection",),
-    "python -m benchmarks.georeference": ("mapping/georeference",),
-    "python -m benchmarks.pipeline": ("mapping",),
-    "python -m benchmarks.plain_script": ("mapping",),
-    "python -m benchmarks.prediction": ("prediction",),
-    "python -m benchmarks.registration": ("mapping/registration",),
-    "python -m benchmarks.rendering": ("rendering",),
-    "python -m benchmarks.short_clips": ("mapping/registration", "mapping/background"),
-    "python -m benchmarks.simulation": ("simulation",),
-    "python -m benchmarks.synthetic": (),  # the generator alone, which is no part of the package
-    "python -m benchmarks.tracking": ("tracking",),
-    "python -m benchmarks.viewer": ("web",),
+    "python -m benchmarks.alignment": ("geoaim/imagery",),
+    "python -m benchmarks.background.own_boxes": ("geoaim/mapping/background", "geoaim/tracking"),
+    "python -m benchmarks.background": ("geoaim/mapping/background", "geoaim/mapping/registration"),
+    "python -m benchmarks.catalog": ("geoaim/catalog",),
+    "python -m benchmarks.detection": ("geoaim/detection",),
+    "python -m benchmarks.georeference": ("geoaim/mapping/georeference",),
+    "python -m benchmarks.pipeline": ("geoaim/mapping",),
+    "python -m benchmarks.plain_script": ("geoaim/mapping",),
+    "python -m benchmarks.prediction": ("geoaim/prediction",),
+    "python -m benchmarks.realism": ("benchmarks/synthetic",),
+    "python -m benchmarks.registration": ("geoaim/mapping/registration",),
+    "python -m benchmarks.rendering": ("geoaim/rendering",),
+    "python -m benchmarks.short_clips": (
+        "geoaim/mapping/registration",
+        "geoaim/mapping/background",
+    ),
+    "python -m benchmarks.simulation": ("geoaim/simulation",),
+    "python -m benchmarks.tracking": ("geoaim/tracking",),
+    "python -m benchmarks.viewer": ("geoaim/web",),
     "python -m tests.faults": (),  # what it hurts is the whole package: run before each release
 }
 
@@ -62,26 +66,58 @@ def explain_staleness(content: dict[str, object]) -> str:
     folders = [stage for start, stage in STAGES.items() if command.startswith(start)]
     if not folders:
         return "has a command that benchmarks/stale.py does not know"
-    changed = [name for name in folders[0] if count_changes(commit, f"geoaim/{name}")]
+    changed = [name for name in folders[0] if has_changed(commit, name)]
     return f"{' and '.join(changed)} changed since {commit}" if changed else ""
 
 
-def count_changes(commit: str, folder: str) -> int:
-    """Count the modules of a folder whose code no module of it had at a commit."""
+def has_changed(commit: str, folder: str) -> bool:
+    """Tell whether a folder has a definition that no module of it had at a commit."""
     names = run_git("ls-tree", "-r", "--name-only", commit, folder).splitlines()
-    before = {strip(run_git("show", f"{commit}:{name}")) for name in names if name.endswith(".py")}
-    now = {strip(path.read_text("utf-8")) for path in (ROOT / folder).rglob("*.py")}
-    return len(now - before)
+    sources = (run_git("show", f"{commit}:{name}") for name in names if name.endswith(".py"))
+    before = {definition for source in sources for definition in strip(source)}
+    paths = (ROOT / folder).rglob("*.py")
+    return any(not before.issuperset(strip(path.read_text("utf-8"))) for path in paths)
 
 
-def strip(source: str) -> str:
-    """Strip comments, docstrings, imports and layout from code."""
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
-            body = node.body[1:] if ast.get_docstring(node) is not None else node.body
-            node.body = [x for x in body if not isinstance(x, ast.Import | ast.ImportFrom)]
-    return ast.dump(tree)
+@cache
+def strip(source: str) -> frozenset[str]:
+    """List a module's definitions and other statements, without what no result can feel."""
+    tree = _Stripping().visit(ast.parse(source))
+    return frozenset(ast.dump(statement) for statement in tree.body)
+
+
+class _Stripping(ast.NodeTransformer):
+    """Removes docstrings, imports, annotations and the texts of errors."""
+
+    def visit_Expr(self, node: ast.Expr) -> ast.AST | None:
+        return None if isinstance(node.value, ast.Constant) else self.generic_visit(node)
+
+    def visit_Import(self, node: ast.AST) -> None:
+        pass
+
+    visit_ImportFrom = visit_Import
+
+    def visit_If(self, node: ast.If) -> ast.AST | None:
+        types_only = ast.unparse(node.test) == "TYPE_CHECKING"
+        return None if types_only else self.generic_visit(node)
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        node.returns = None
+        return self.generic_visit(node)
+
+    def visit_arg(self, node: ast.arg) -> ast.AST:
+        node.annotation = None
+        return node
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
+        node.annotation = ast.Constant(None)
+        return self.generic_visit(node)
+
+    def visit_Raise(self, node: ast.Raise) -> ast.AST:
+        for part in ast.walk(node):
+            if isinstance(part, ast.Constant) and isinstance(part.value, str):
+                part.value = ""
+        return node
 
 
 def main() -> None:

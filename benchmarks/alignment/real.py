@@ -146,13 +146,13 @@ def _align_misplaced(
         matrix = make_similarity(center, rotation, 1.0)
         matrix[:2, 2] += shift * np.array([np.cos(angle), np.sin(angle)])
         moved = replace(picture, world_from_image=matrix @ picture.world_from_image)
-        start = time.perf_counter()
+        start = time.process_time()
         try:
             alignment = align_tracks(moved, tracks)
         except AlignmentError:
             yield None
             continue
-        duration = time.perf_counter() - start
+        duration = time.process_time() - start
         total = alignment.true_from_stated @ matrix
         error = transform_points(total, alignment.center[None])[0] - alignment.center
         is_inside = bool(error @ np.linalg.solve(alignment.covariance, error) < CHI2_2D)

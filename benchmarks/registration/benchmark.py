@@ -32,7 +32,6 @@ Frames = list[UInt8[Array, "H W 3"]]
 Videos = dict[tuple[str, str], HoverVideo]  # videos by size and what they show
 SIZES = ("1080p", "4k")
 FRAMES, QUICK_FRAMES = 60, 12  # length of each video
-THREADS = 2  # OpenCV's threads, for the comparison with other methods
 HARD: tuple[Kind, ...] = ("cars", "shadow", "gain", "cut", "noise")
 MAX_RIGHT_ERROR_PX = 0.3  # a frame with a larger error counts as wrong
 MAX_AVERAGED_ERROR_PX = 100  # larger ones would hide all others in a mean
@@ -59,8 +58,8 @@ def measure_corner_distances(
 def measure_rate_and_errors(method: Method, video: HoverVideo, frames: Frames) -> dict[str, Any]:
     """Measure a method on a video: frames per second, errors, right frames, wrong ones accepted.
 
-    Frames per second are from the median time of a frame, without the first. The mean error leaves
-    out errors of 100 px and more; the 95 % quantile and the maximum include them.
+    Frames per second of processor time are from the median of a frame, without the first. The mean
+    error leaves out errors of 100 px and more; the 95 % quantile and the maximum include them.
 
     Args:
         method: the method.
@@ -160,14 +159,13 @@ def measure_registration(quick: bool, progress: Progress) -> Results:
     Returns:
         Tables and charts.
     """
-    cv2.setNumThreads(THREADS)
+    cv2.setNumThreads(1)
     videos = make_videos(quick)
     runs = 2 * len(videos) * len(list_methods())
     rows = collect(measure_accuracy(videos), "methods and videos", progress, runs)
     hard = []
     if len(videos) > len(STILLS):
         hard = collect(measure_robustness(FRAMES), "hard videos and methods", progress)
-    cv2.setNumThreads(1)
     sizes = measure_sizes(list(videos.values())[:2], progress)
     cases = collect(measure_models(quick), "camera motions", progress)
     panels = _average_stills(rows)

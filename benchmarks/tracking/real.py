@@ -45,7 +45,7 @@ def measure_songdo(folder: Path, stride: int = 1) -> dict[str, Any]:
     boxes, world_from_frame, times = boxes[::stride], world_from_frame[::stride], times[::stride]
     found = track_boxes(boxes, world_from_frame, times, own.world, SIZE)
     pairs, distance = match_states(own, found, MAX_DISTANCE_M)
-    frame = pd.DataFrame(pairs, columns=["own", "found"])
+    frame = pd.DataFrame(pairs[:, :2], columns=["own", "found"])
     speeds = np.nanmax(np.abs(found.states[..., 3]), axis=1)
     alike = frame.value_counts().rename("count").reset_index()
     table = alike.pivot(index="own", columns="found", values="count").fillna(0).to_numpy()
@@ -86,7 +86,7 @@ def _count_states(own: Tracks, times: Float[Array, "T"]) -> int:
 
 
 def match_states(own: Tracks, found: Tracks, reach: float) -> tuple[Array, Float[Array, "m"]]:
-    """Match states frame by frame within reach, m: rows of both, and their distances, m."""
+    """Match states frame by frame within reach, m: rows of both and step; their distances, m."""
     pairs, distances = [], []
     for step, time in enumerate(found.times):
         there = int(np.abs(own.times - time).argmin())
@@ -95,7 +95,8 @@ def match_states(own: Tracks, found: Tracks, reach: float) -> tuple[Array, Float
         distance = np.hypot(offset[..., 0], offset[..., 1])
         rows, columns = linear_sum_assignment(np.minimum(distance, reach))
         near = distance[rows, columns] < reach
-        pairs.append(np.column_stack([one[rows[near]], other[columns[near]]]))
+        steps = np.full(near.sum(), step)
+        pairs.append(np.column_stack([one[rows[near]], other[columns[near]], steps]))
         distances.append(distance[rows, columns][near])
     return np.concatenate(pairs), np.concatenate(distances)
 

@@ -8,6 +8,7 @@ reach 31 frames into the next one; there many agents get another number, or have
 between these frames is judged as well, each part tracked alone.
 """
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from benchmarks.realism.motion import read_sdd_resolutions
 from benchmarks.results import JsonFile, print_rows, write_rows
 from benchmarks.tracking.peers import list_peers
 from benchmarks.tracking.real import match_states
-from benchmarks.tracking.scores import compute_idf1
+from benchmarks.tracking.scores import compute_idf1, judge_gaps
 from geoaim.base.world import World
 from geoaim.mapping.video.detections import DetectedBoxes, map_classes
 from geoaim.tracking import track_boxes
@@ -89,16 +90,17 @@ def _make_truth(table: pd.DataFrame, times: Any, matrix: Any, world: World) -> T
 
 def _score_parts(parts: list[tuple[Tracks, Tracks]]) -> dict[str, Any]:
     """Score parts that share no agent."""
-    agree, boxes, counts = 0.0, 0, np.zeros(2, int)
+    agree, boxes, counts, gaps = 0.0, 0, np.zeros(2, int), Counter[str]()
     for own, found in parts:
         pairs, _ = match_states(own, found, MAX_DISTANCE_M)
         shared = np.zeros((len(own.ids), len(found.ids)))
-        np.add.at(shared, tuple(pairs.T), 1)
+        np.add.at(shared, tuple(pairs[:, :2].T), 1)
         count = int(own.present.sum() + found.present.sum())
         agree += compute_idf1(shared, count) * count
         boxes += count
         counts += shared.shape
-    return {"agents": int(counts[0]), "tracks": int(counts[1]), "IDF1": agree / boxes}
+        gaps.update(judge_gaps(found, pairs, np.ones(len(found.ids), bool)))
+    return {"agents": int(counts[0]), "tracks": int(counts[1]), "IDF1": agree / boxes} | gaps
 
 
 def main(json: JsonFile = None) -> None:

@@ -33,14 +33,16 @@ def test_a_result_is_stale_when_code_of_its_stage_changes(
 ) -> None:
     module = tmp_path / "geoaim/mapping/georeference/fit.py"
     module.parent.mkdir(parents=True)
-    module.write_text("import os\n\n\ndef fit():\n    return 1\n")
+    module.write_text("def fit(n):\n    if n < 0:\n        raise ValueError('below 0')\n")
     for owner in (stale, results):
         monkeypatch.setattr(owner, "ROOT", tmp_path)
     run_git("init", "--quiet")
     run_git("add", ".")
     run_git("-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "--quiet", "-m", "one")
     assert stale.explain_staleness(KNOWN) == ""
-    module.write_text('import sys\n\n\ndef fit():\n    """Fit."""\n    return 1  # as before\n')
+    same = '"""Fit."""\ndef fit(n: int) -> None:\n  if n < 0:  # few\n    raise ValueError("few")\n'
+    module.with_name("moved.py").write_text(same)
+    module.write_text("import sys\n")
     assert stale.explain_staleness(KNOWN) == ""
-    module.write_text("def fit():\n    return 2\n")
-    assert stale.explain_staleness(KNOWN) == "mapping/georeference changed since HEAD"
+    module.write_text(same.replace("n < 0", "n < 1"))
+    assert stale.explain_staleness(KNOWN) == "geoaim/mapping/georeference changed since HEAD"
