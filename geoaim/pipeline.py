@@ -73,7 +73,8 @@ class Evidence:
         points: control points, as `read_control_points` reads them.
         imagery: an orthophoto or tiles of the place, as `read_imagery` reads them.
         near: latitude and longitude of the frame's middle, degrees, to within 35 m.
-        imagery_accuracy: standard deviation of the imagery's own place, metres.
+        imagery_accuracy: standard deviation of the imagery's own place, metres, as `accuracy` of
+            `place_by_imagery`.
         detections: boxes of vehicles, as `read_detections` reads them.
         frame_resolution: metres per pixel of the frames.
         lights: states of traffic lights, as `read_lights` reads them, from the video's start on.
@@ -85,7 +86,7 @@ class Evidence:
     points: ControlPointSource | None = None
     imagery: Source | Sequence[Source] | None = None
     near: tuple[float, float] | None = None
-    imagery_accuracy: float = 0.0
+    imagery_accuracy: float | None = None
     detections: DetectionSource | None = None
     frame_resolution: float | None = None
     lights: str | os.PathLike[str] | None = None
@@ -151,7 +152,7 @@ def _check(evidence: Evidence, video: Video) -> None:
     if evidence.stop_lines is not None and evidence.lights is None:
         raise ValueError("stop lines need lights, for their states")
     if evidence.imagery is None:
-        if evidence.near is not None or evidence.imagery_accuracy:
+        if evidence.near is not None or evidence.imagery_accuracy is not None:
             raise ValueError("near and imagery_accuracy need imagery, which places the map")
         return
     if evidence.points is not None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from geoaim.aim.position import MOVED, describe_covariance, measure_azimuth
+from geoaim.base.errors import name_option
 
 MAX_REASON_CHARS = 70
 MIN_OFFSET_M = 0.1  # imagery that stays farther from where its reference shows it says so
@@ -127,16 +128,21 @@ def _summarize_position(position: Mapping[str, Any]) -> Lines:
     """Summarize how well the place is known, relative to a reference and in the world."""
     if "relative_to" not in position:
         return {}
-    name = position["relative_to"]
+    name = position.get("reference") or f"the {position['relative_to']}"
     relative = _describe(position["relative_covariance_m2"])
     offset = position.get("offset_from_reference_m", [0.0, 0.0])
     if (distance := float(np.hypot(*offset))) > MIN_OFFSET_M:
         azimuth = float(np.degrees(np.arctan2(*offset))) % 360
-        relative += f"; the {name} shows it {distance:.2f} m away at azimuth {azimuth:.0f}°"
-    lines = {f"relative to the {name} (95 %)": relative}
+        relative += f"; {name} shows it {distance:.2f} m away at azimuth {azimuth:.0f}°"
+    lines = {f"relative to {name} (95 %)": relative}
     in_world = _describe(position["covariance_m2"])
     if assumed := position.get("assumes"):
         in_world += f", taking the {' and the '.join(assumed)} as right"
+    if supposed := position.get("supposed_accuracy_m"):
+        option = name_option("--imagery-accuracy", "accuracy=")
+        in_world += (
+            f": the imagery's own accuracy is not given ({option}), {supposed} m is supposed"
+        )
     return lines | {"in the world (95 %)": in_world}
 
 

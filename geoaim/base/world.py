@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,6 +25,10 @@ MAX_SCALE_ERROR = 0.01
 CRS_FILES = re.compile(r"(?i)grids\s*=\s*(?!@null\b)|init\s*=\s*(?!epsg:\d)|PARAMETERFILE")
 MAX_NAME_CHARS = 40  # a longer CRS text, such as WKT, is called by its name
 MAX_AREA_DEGREES = 12.0  # a CRS for a wider area does not tell its UTM zone
+# degrees that places may lie outside their CRS's area of use: one zone serves a whole country
+AREA_MARGIN = 5.0
+FOOT_M = 0.3048
+METRES_PER_DEGREE = 111_320.0  # of latitude
 
 
 @dataclass(frozen=True)
@@ -114,7 +119,8 @@ def describe_crs_problem(crs: str, origin: tuple[float, float] = (0.0, 0.0)) -> 
         problem = f"a metre of {name} is {scale:.3g} times a metre on the ground"
     else:
         return ""
-    return f"{problem}; a world needs metres, x east and y north. Use {_suggest_crs(parsed)}."
+    best = _suggest_crs(parsed, origin)
+    return f"{problem}; a world needs metres, x east and y north. Use {best}."
 
 
 def _measure_scale(crs: CRS, origin: tuple[float, float]) -> float:
@@ -134,8 +140,11 @@ def _measure_scale(crs: CRS, origin: tuple[float, float]) -> float:
     return float(np.sqrt(factors.areal_scale))
 
 
-def _suggest_crs(crs: CRS) -> str:
+def _suggest_crs(crs: CRS, origin: tuple[float, float]) -> str:
     area = crs.area_of_use
+    if origin != (0.0, 0.0) and crs.is_projected:
+        with suppress(GeoreferenceError, ProjError):
+            return find_utm_crs(*Proj(crs)(*origin, inverse=True, errcheck=True))
     if area is None or area.east - area.west > MAX_AREA_DEGREES or area.east < area.west:
         return "the UTM zone of the scene, which geoaim.base.world.choose_world finds"
     return find_utm_crs((area.west + area.east) / 2.0, (area.south + area.north) / 2.0)
@@ -187,6 +196,62 @@ def transform_crs(
             " Is the CRS the right one, and are the coordinates in the order x, y (lon, lat)?"
         )
     return mapped
+
+
+def is_in_area(crs: str, lonlat: Float[Array, "m 2"]) -> bool:
+    """Tell whether places (longitude, latitude in degrees) lie where a CRS is used, or near.
+
+    >>> is_in_area("EPSG:32635", np.array([[28.3, 54.7]]))
+    True
+    >>> is_in_area("EPSG:32635", np.array([[54.7, 28.3]]))
+    False
+    """
+    if not np.abs(lonlat[:, 1]).max() <= 90.0:
+        return False
+    area = parse_crs(crs).area_of_use
+    if area is None:
+        return True
+    width = (area.east - area.west) % 360.0 or 360.0  # some lie across the date line
+    east = (lonlat[:, 0] - area.west + AREA_MARGIN) % 360.0
+    low, high = area.south - AREA_MARGIN, area.north + AREA_MARGIN
+    inside = (east <= width + 2 * AREA_MARGIN) & (lonlat[:, 1] >= low) & (lonlat[:, 1] <= high)
+    return bool(inside.all())
+
+
+def describe_misplacement(
+    crs: str, points: Float[Array, "m 2"], origin: tuple[float, float] = (0.0, 0.0)
+) -> str:
+    """Describe that places do not lie where their CRS is used, and what they may be; "" if they do.
+
+    Args:
+        crs: the CRS.
+        points: (M, 2) coordinates in it, x (or longitude) first, less the origin.
+        origin: what is added to them.
+
+    >>> describe_misplacement("EPSG:32635", np.array([[6062185.0, 583185.0]]))
+    '6062185, 583185 in EPSG:32635 lies outside the area where that is used: are x and y swapped?'
+    """
+    places = points + origin
+    if _lie_in_area(crs, places):
+        return ""
+    readings = {
+        "are x and y absolute? Then the origin is 0 0": points,
+        "are x and y swapped?": places[:, ::-1],
+        "are they feet?": places * FOOT_M,
+        "are they metres?": places / FOOT_M,
+    }
+    likely = [text for text, read in readings.items() if _lie_in_area(crs, read)]
+    advice = (*likely, "is the CRS the right one?")[0]
+    x, y = places[0].tolist()
+    name = crs if len(crs) < MAX_NAME_CHARS else repr(parse_crs(crs).name)
+    return f"{x:.10g}, {y:.10g} in {name} lies outside the area where that is used: {advice}"
+
+
+def _lie_in_area(crs: str, points: Float[Array, "m 2"]) -> bool:
+    try:
+        return is_in_area(crs, transform_crs(crs, LONLAT, points))
+    except GeoreferenceError:  # no place on the Earth
+        return False
 
 
 @dataclass(frozen=True)

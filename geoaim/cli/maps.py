@@ -63,7 +63,7 @@ def build(
         ),
     ] = None,
     near: options.Near = None,
-    imagery_accuracy: options.ImageryAccuracy = 0.0,
+    imagery_accuracy: options.ImageryAccuracy = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Build a georeferenced map (AIM) from a hovering drone's video, or from one image.
@@ -106,13 +106,13 @@ def build(
 def _choose_placing(
     imagery: list[str] | None,
     near: str | None,
-    accuracy: float,
+    accuracy: float | None,
     gcps: Path | None,
     progress: "Progress",
 ) -> "Callable[[AIM], AIM] | None":
     """What places the map by imagery, if that is asked for."""
     if not imagery:
-        if near is not None or accuracy:
+        if near is not None or accuracy is not None:
             raise ValueError("--near and --imagery-accuracy need --imagery, which places the map")
         return None
     if gcps is not None:

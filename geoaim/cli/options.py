@@ -27,8 +27,12 @@ Near = Annotated[
     typer.Option(help="latitude,longitude of the frame's middle to 35 m, if telemetry lacks it"),
 ]
 ImageryAccuracy = Annotated[
-    float,
-    typer.Option(help="standard deviation of the imagery's place, m; 0 takes it as right", min=0.0),
+    float | None,
+    typer.Option(
+        help="standard deviation of the imagery's place, m; 0 takes it as right; if omitted, "
+        "2.5 m, of web tiles 4.8 m",
+        min=0.0,
+    ),
 ]
 
 TRACKS_HELP = "tracks: .csv or .parquet of geoaim, or a file of a public dataset"

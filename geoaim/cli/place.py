@@ -17,7 +17,7 @@ def place(
         list[str] | None, typer.Option(help="orthophoto or tiles of the place, which place the map")
     ] = None,
     near: options.Near = None,
-    imagery_accuracy: options.ImageryAccuracy = 0.0,
+    imagery_accuracy: options.ImageryAccuracy = None,
     points: options.ControlPoints = None,
     detections: options.DetectionsFolder = None,
     frame_resolution: Annotated[

@@ -29,6 +29,7 @@ from geoaim.base.world import (
     choose_world,
     describe_world,
     find_utm_crs,
+    is_in_area,
     transform_crs,
     world_from_lonlat,
 )
@@ -348,6 +349,7 @@ def locate_nodes(
         points = transform_crs(LONLAT, LOCAL_CRS, degrees) - corner - world.origin
     else:
         world = world or choose_world(degrees)
+        _check_area(path, world, degrees)
         points = world_from_lonlat(world, degrees)
     _check_extent(path, points)
     if np.isfinite(metres).all() and not is_local:
@@ -397,6 +399,19 @@ def _check_degrees(path: Path, ids: Sequence[str | None], degrees: Float[Array, 
             "these are no degrees. Write metres as the tags local_x and local_y, or degrees as lon "
             "and lat"
         )
+
+
+def _check_area(path: Path, world: World, degrees: Float[Array, "n 2"]) -> None:
+    """Refuse a map that lies elsewhere than the CRS of the world is used."""
+    assert world.crs is not None
+    if is_in_area(world.crs, degrees):
+        return
+    swapped = is_in_area(world.crs, degrees[:, ::-1])
+    advice = "lat and lon are swapped" if swapped else "is it the map of another place?"
+    raise MapError(
+        f"{path} lies about longitude {degrees[0, 0]:g}, latitude {degrees[0, 1]:g}, outside the "
+        f"area where {world.crs} is used, in which the map is needed; {advice}"
+    )
 
 
 def _check_extent(path: Path, points: Float[Array, "n 2"]) -> None:

@@ -23,6 +23,7 @@ from geoaim.base.world import (
     World,
     choose_world,
     crs_from_world,
+    describe_misplacement,
     parse_crs,
     transform_crs,
     world_from_crs,
@@ -33,6 +34,7 @@ MAX_PRJ_BYTES = 1_000_000
 MAX_BLOCK_PIXELS = 1_000_000_000  # largest block; a block can only be decoded as a whole
 # smallest area of a pixel in units of the CRS; in degrees, pixels of 0.003 mm
 MIN_PIXEL_AREA = 1e-15
+MIN_EXTENT_M = 0.1  # of a raster; one in degrees that are taken for metres has less
 # largest extent of longitude or latitude that is read without a region: the width of a UTM zone
 MAX_EXTENT_DEGREES = 6.0
 
@@ -88,6 +90,8 @@ def describe_raster(
         raster_crs, matrix = georeference or _read_georeference(dataset, crs, path, options)
         if georeference is not None:
             matrix = matrix @ np.diag([1.0 / dataset.width, 1.0 / dataset.height, 1.0])
+        else:
+            _check_place(path, raster_crs, Grid(dataset.shape, matrix).corners)
         return Raster(
             path=path,
             crs=raster_crs,
@@ -98,6 +102,18 @@ def describe_raster(
             nodata=nodata,
             options=options,
         )
+
+
+def _check_place(path: str, crs: str, corners: Float[Array, "4 2"]) -> None:
+    """Refuse a raster outside the area of its CRS, or whose metres seem to be degrees."""
+    problem = describe_misplacement(crs, corners)
+    extent = float(np.ptp(corners, axis=0).max())
+    if not problem and parse_crs(crs).is_projected and extent < MIN_EXTENT_M:
+        x, y = corners[0].tolist()
+        problem = f"all of it lies within {extent:.2g} m at {x:g}, {y:g} in {crs}: are they degrees"
+        problem += "? Then name their CRS, such as EPSG:4326 (gdal_edit.py -a_srs)"
+    if problem:
+        raise ImageryError(f"{path}: {problem}")
 
 
 def outline_raster(raster: Raster) -> Float[Array, "m 2"]:
@@ -181,6 +197,9 @@ def _read_georeference(
             "(gdalwarp), put a world file (six numbers) beside it, or georeference it with control "
             "points"
         )
+    # a CRS of a site by itself lies nowhere on the Earth
+    if own_crs is not None and not (own_crs.is_projected or own_crs.is_geographic):
+        own_crs = None
     stated = (own_crs and own_crs.to_string()) or _read_prj(Path(name)) or crs
     if stated is None:
         raise ImageryError(

@@ -8,8 +8,10 @@ from geoaim.base.world import (
     World,
     choose_world,
     crs_from_world,
+    describe_misplacement,
     find_operation,
     find_utm_crs,
+    is_in_area,
     lonlat_from_world,
     warn_of_operation,
     world_from_crs,
@@ -82,6 +84,35 @@ def test_a_crs_that_is_not_a_metric_plane_is_refused(crs, message):
 def test_the_refusal_names_the_utm_zone_to_use():
     with pytest.raises(GeoreferenceError, match="EPSG:326"):
         World("EPSG:2992")
+
+
+PLACE = np.array([[583185.9, 6062185.3]])
+
+
+@pytest.mark.parametrize(
+    ("points", "origin", "question"),
+    [
+        (PLACE, (583000.0, 6062000.0), "are x and y absolute"),
+        (PLACE[:, ::-1], (0.0, 0.0), "are x and y swapped"),
+        (PLACE / 0.3048, (0.0, 0.0), "are they feet"),
+        (PLACE * [1, 9], (0.0, 0.0), "the CRS the right one"),
+    ],
+)
+def test_places_outside_the_area_of_their_crs_are_described(points, origin, question):
+    assert describe_misplacement("EPSG:32635", PLACE) == ""
+    assert f"{question}?" in describe_misplacement("EPSG:32635", points, origin)
+
+
+@pytest.mark.parametrize(
+    ("crs", "lonlat"),
+    [
+        ("EPSG:4326", [200.0, 10.0]),  # longitudes from 0 to 360
+        ("EPSG:2193", [-179.0, -44.0]),  # New Zealand, beyond the date line
+        ("EPSG:32635", [32.0, 54.0]),  # two degrees beyond the zone
+    ],
+)
+def test_areas_have_a_margin_and_go_round_the_earth(crs, lonlat):
+    assert is_in_area(crs, np.array([lonlat]))
 
 
 def test_swapped_latitude_is_named():

@@ -56,6 +56,16 @@ def test_light_stops_traffic_at_its_line(tmp_path):
     np.testing.assert_allclose(line.ends, [[20, 0], [20, 4]], atol=0.1)
 
 
+@pytest.mark.parametrize(
+    ("at", "message"), [((54.7, 28.3), "are swapped"), ((37.3, 54.7), "of another place")]
+)
+def test_a_map_outside_the_area_of_the_world_is_refused(tmp_path, at, message):
+    path = _osm(tmp_path / "a.osm", at=at)
+    assert read_hdmap(path).lanelets
+    with pytest.raises(MapError, match=f"outside the area where EPSG:32635 is used.*{message}"):
+        read_hdmap(path, World("EPSG:32635"))
+
+
 def test_map_on_the_earth_lies_where_the_samples_truth_says():
     truth = json.loads(Path("samples/truth.json").read_text())
     hdmap = read_hdmap("samples/map.osm", World(truth["crs"], tuple(truth["origin"])))

@@ -7,7 +7,7 @@ from rasterio.enums import ColorInterp
 
 from geoaim.base.errors import ImageryError
 from geoaim.imagery.mosaic import read_imagery
-from tests.imagery.painted_ground import HERE, WORLD, constant, flat
+from tests.imagery.painted_ground import HERE, WORLD, constant, flat, place_around, write
 
 
 def test_one_band_is_grey(tmp_path):
@@ -55,6 +55,31 @@ def test_image_with_a_world_file_needs_a_crs(tmp_path):
         np.testing.assert_allclose(aim.corners[0], [0, 0], atol=1e-6)
         if name.endswith("png"):
             np.testing.assert_array_equal(aim.image, image)
+
+
+@pytest.mark.parametrize(
+    ("crs", "transform", "message"),
+    [
+        ("EPSG:32633", (0.2, 5.34e6, -0.2, 6e5), "outside the area .* are x and y swapped"),
+        ("EPSG:32633", (0.66, 6e5 / 0.3048, -0.66, 5.34e6 / 0.3048), "are they feet"),
+        ("EPSG:32633", (3e-6, 16.3, -2e-6, 48.2), "all of it lies within .* are they degrees"),
+        ("EPSG:4326", (0.2, 6e5, -0.2, 5.34e6), "is the CRS the right one"),
+    ],
+)
+def test_a_raster_outside_the_area_of_its_crs_is_refused(tmp_path, crs, transform, message):
+    step, left, down, top = transform
+    place = np.array([[step, 0, left], [0, down, top], [0, 0, 1]])
+    path = write(tmp_path / "a.tif", constant(1, 2, 3), crs, place)
+    with pytest.raises(ImageryError, match=message):
+        read_imagery(path)
+
+
+def test_a_crs_of_a_site_by_itself_counts_as_none(tmp_path):
+    site = 'LOCAL_CS["site",UNIT["metre",1]]'
+    path = write(tmp_path / "a.tif", constant(1, 2, 3), site, place_around("EPSG:32633", 1, (9, 9)))
+    with pytest.raises(ImageryError, match="names no coordinate reference system"):
+        read_imagery(path)
+    assert read_imagery(path, crs="EPSG:32633").world.crs == "EPSG:32633"
 
 
 def test_truncated_jpeg_is_refused(tmp_path):

@@ -9,7 +9,13 @@ import numpy as np
 
 from geoaim.base.errors import GeoreferenceError, warn
 from geoaim.base.geometry import image_corners
-from geoaim.base.world import LONLAT, parse_crs, transform_crs
+from geoaim.base.world import (
+    LONLAT,
+    METRES_PER_DEGREE,
+    describe_misplacement,
+    parse_crs,
+    transform_crs,
+)
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.transform_models import (
     Points,
@@ -29,7 +35,6 @@ MAX_SMALLER = 2 / 3
 MAX_CORNER_ERROR = 0.15
 GAUSSIAN_ELLIPSE = 2.45  # standard deviations to the ellipse that holds 95 % in the plane
 RESOLUTION_RANGE = (1e-4, 100.0)  # metres per pixel of any picture of the ground
-AREA_MARGIN = 5.0  # degrees that coordinates may lie outside their CRS's area of use
 
 
 def check_coordinates(points: ControlPoints) -> None:
@@ -38,31 +43,10 @@ def check_coordinates(points: ControlPoints) -> None:
     Raises:
         GeoreferenceError: they do not; the message says if x and y seem to be swapped.
     """
-    if points.crs is None or _is_in_area(points.crs, points.coordinates):
-        return
-    order = "longitude, latitude" if parse_crs(points.crs).is_geographic else "easting, northing"
-    advice = "Is the CRS the right one, and are the coordinates in its units?"
-    if _is_in_area(points.crs, points.coordinates[:, ::-1]):
-        advice = f"x and y are swapped: give {order}."
-    raise GeoreferenceError(
-        f"{_list_names(points.names)}: the coordinates, such as"
-        f" {tuple(points.coordinates[0].tolist())}, lie outside the area of {points.crs}. {advice}"
-    )
-
-
-def _is_in_area(crs: str, coordinates: Points) -> bool:
-    try:
-        lonlat = transform_crs(crs, LONLAT, coordinates)
-    except GeoreferenceError:
-        return False
-    area = parse_crs(crs).area_of_use
-    if np.abs(lonlat[:, 1]).max() > 90.0:
-        return False
-    if area is None or area.east < area.west:
-        return True
-    low = np.array([area.west, area.south]) - AREA_MARGIN
-    high = np.array([area.east, area.north]) + AREA_MARGIN
-    return bool(((lonlat >= low) & (lonlat <= high)).all())
+    if points.crs is not None and (
+        problem := describe_misplacement(points.crs, points.coordinates)
+    ):
+        raise GeoreferenceError(f"{_list_names(points.names)}: {problem}")
 
 
 def check_layout(
@@ -162,7 +146,7 @@ def _check_mirroring(points: ControlPoints, targets: Points, size: tuple[int, in
         errors["u and v are swapped"] = mirrored
     if points.crs is None:
         errors["x and y are swapped"] = mirrored
-    elif _is_in_area(points.crs, points.coordinates[:, ::-1]):
+    elif not describe_misplacement(points.crs, points.coordinates[:, ::-1]):
         swapped = "longitude and latitude" if parse_crs(points.crs).is_geographic else "x and y"
         errors[f"{swapped} are swapped"] = _measure_swapped_error(
             points.crs, points, plane, targets
@@ -180,7 +164,7 @@ def _measure_swapped_error(
 ) -> float:
     """Squared error of a fit with swapped coordinates, at the given targets' scale."""
     lonlat = transform_crs(crs, LONLAT, points.coordinates[:, ::-1])
-    metres = 111_320.0 * np.array([np.cos(np.radians(lonlat[:, 1].mean())), 1.0])
+    metres = METRES_PER_DEGREE * np.array([np.cos(np.radians(lonlat[:, 1].mean())), 1.0])
     matrix, error = fit_similarity(plane, (lonlat - lonlat.mean(axis=0)) * metres)
     given = fit_similarity(plane, targets, mirrored=True)[0]
     return error * float(np.linalg.det(given[:2, :2]) / np.linalg.det(matrix[:2, :2]))

@@ -1,5 +1,6 @@
 """Georeference the reference frame of a video: by control points on any frame, or by telemetry."""
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -9,9 +10,9 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse.csgraph import dijkstra
 
-from geoaim.base.errors import GeoreferenceError, name_option, warn
+from geoaim.base.errors import GeoaimWarning, GeoreferenceError, name_option, warn
 from geoaim.base.geometry import transform_points, wrap_angle
-from geoaim.base.world import LONLAT, choose_world, transform_crs
+from geoaim.base.world import LONLAT, METRES_PER_DEGREE, choose_world, transform_crs
 from geoaim.mapping.georeference.control_points import (
     ControlPoints,
     merge_observations,
@@ -37,6 +38,7 @@ from geoaim.mapping.video.video import Video
 # largest angle between the camera and straight down, without control points
 MAX_TILT = np.radians(10.0)
 FILM_DIAGONAL_MM = 43.27  # diagonal of the film to which a 35 mm equivalent focal length refers
+MAX_DISTANCE_M = 10_000.0  # no camera of a drone sees streets from farther; zones are 300 km apart
 MAX_GAP_S = 1.0  # a warning is given where the nearest entry that states a position is further away
 # What a caller gives where telemetry lacks a field: by an option of build, or in Python.
 ADVICE = {
@@ -90,7 +92,27 @@ def georeference_reference_frame(
     georeference = estimate_georeference(
         points, height=height, width=width, world=world, outside=True
     )
+    _warn_of_telemetry(points, video)
     return georeference, points, reference
+
+
+def _warn_of_telemetry(points: ControlPoints, video: Video) -> None:
+    """Warn where points lie far from the camera by its telemetry, as in another zone."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", GeoaimWarning)  # that it cannot be read matters not here
+        telemetry = video.telemetry
+    if telemetry is None or points.crs is None:
+        return
+    camera = np.nanmedian([telemetry.longitude, telemetry.latitude], axis=1)
+    lon, lat = transform_crs(points.crs, LONLAT, points.coordinates).mean(axis=0).tolist()
+    off = (camera - [lon, lat]) * [np.cos(np.radians(lat)), 1.0]
+    distance = float(np.hypot(*off)) * METRES_PER_DEGREE
+    if distance > MAX_DISTANCE_M:
+        warn(
+            f"the control points lie about longitude {lon:.4f}, latitude {lat:.4f}, and the camera "
+            f"by its telemetry about {camera[0]:.4f}, {camera[1]:.4f}, {distance / 1000:.0f} km "
+            "away: do the points state the right CRS, such as the UTM zone, and is it this video?"
+        )
 
 
 def _place_points(

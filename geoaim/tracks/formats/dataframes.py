@@ -10,6 +10,7 @@ from geoaim.base.world import World
 from geoaim.tracks.formats.motion import derive_motion, derive_speeds
 from geoaim.tracks.formats.plausibility import (
     HALF_WINDOW_S,
+    check_place,
     check_plausibility,
     derive_contradicted_motion,
 )
@@ -41,6 +42,7 @@ def read_dataframe(
     if not has_types:
         rows["type"] = name_vehicles(rows["type"], rows["length"], vehicle="car")
     tracks = make_tracks(rows, world or World(None))
+    check_place(NAME, tracks)
     if "heading" in lacks:
         tracks = derive_motion(tracks, half_window=HALF_WINDOW_S)
     elif lacks:

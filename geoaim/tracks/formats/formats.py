@@ -17,7 +17,11 @@ from geoaim.base.limits import check_regular, name_file
 from geoaim.base.world import World
 from geoaim.tracks import formats as package
 from geoaim.tracks.files import read_plain_tracks
-from geoaim.tracks.formats.plausibility import check_plausibility, derive_contradicted_motion
+from geoaim.tracks.formats.plausibility import (
+    check_place,
+    check_plausibility,
+    derive_contradicted_motion,
+)
 from geoaim.tracks.formats.shared import TrackFormat, check_resolution, has_columns
 from geoaim.tracks.tracks import Tracks
 
@@ -99,10 +103,13 @@ def read_tracks(
     if "resolution" in track_format.required and resolution is None:
         raise ValueError(
             f"{path} is in the {track_format.name} format, which needs a resolution: give "
-            f"{name_option('--tracks-resolution', 'resolution=')}, metres per pixel, such as 0.04"
+            f"{name_option('--tracks-resolution', 'resolution=')}, metres per pixel, such as 0.04. "
+            "If x and y are metres, write '# crs: EPSG:n' (or local) as the first line of a table "
+            "with id, type, time, x, y, length and width"
         )
     with name_file(path):
         tracks = track_format.read(path, **given)
+    check_place(path, tracks)
     tracks = derive_contradicted_motion(path, tracks)
     check_plausibility(path, tracks)
     return tracks

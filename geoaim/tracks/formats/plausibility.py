@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 
 from geoaim.base.errors import TracksError, warn
 from geoaim.base.geometry import wrap_angle
+from geoaim.base.world import FOOT_M, describe_crs_problem, describe_misplacement, lonlat_from_world
 from geoaim.tracks.formats.motion import derive_motion, derive_speeds, estimate_velocity
 from geoaim.tracks.tracks import Tracks
 
@@ -34,6 +35,8 @@ MAX_SPEED_SHARE = 0.2  # by which an agent's speeds may differ from its motion
 MOST_TURNED = 0.25  # share of agents that head elsewhere than they move: so many do not reverse
 MOST = 0.5  # share of the agents whose columns contradict their motion, so that none are used
 NOISE = 0.05  # share of states that may be wrong without a warning
+MIN_EXTENT_M = 0.1  # two agents need more room; degrees of a junction span less
+NEAR_DEGREES = 1.0  # from the origin, in which one agent that stands is taken to have degrees
 NEARLY_ALL = 0.9  # share with which a file is refused
 MIRRORED, TURNED = 0.9, 0.7  # resultants of angles: over one and under the other, axes are swapped
 
@@ -70,6 +73,29 @@ def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
         warn(f"{Path(path)}: {'; '.join(found)}. They are kept as they are")
 
 
+def check_place(path: str | os.PathLike[str], tracks: Tracks) -> None:
+    """Refuse positions outside the area of their CRS, where it has no metres, and degrees.
+
+    Raises:
+        TracksError: such positions.
+    """
+    crs, origin, positions = tracks.world.crs, tracks.world.origin, tracks.get_rows("states")[:, :2]
+    if crs is None:
+        return
+    middle = np.median(positions, axis=0)  # of which one outlier says nothing
+    east, north = (middle + origin).tolist()
+    problem = describe_misplacement(crs, middle[None], origin)
+    if not problem and np.ptp(positions, axis=0).max() < MIN_EXTENT_M:
+        off = middle - lonlat_from_world(tracks.world, np.zeros((1, 2)))[0]
+        if len(tracks.ids) > 1 or np.abs(off).max() < NEAR_DEGREES:
+            x, y = middle.tolist()
+            problem = (
+                f"all agents are at {x:g}, {y:g} m: are they degrees, and not metres of {crs}?"
+            )
+    if problem := problem or describe_crs_problem(crs, (east, north)):
+        raise TracksError(f"{Path(path)}: {problem}")
+
+
 def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> Tracks:
     """Replace headings and speeds by those of the positions where most agents' contradict them.
 
@@ -97,6 +123,8 @@ def derive_contradicted_motion(path: str | os.PathLike[str], tracks: Tracks) -> 
     if not wrong_headings:
         names = "Speeds are"
         found = f"speeds are {np.median(ratio):.2f} times those of the positions and times"
+        if abs(np.median(ratio) - FOOT_M) < 0.005:  # as that is shown
+            found += " (are x and y in feet?)"
     warn(
         f"{Path(path)}: {found}. {names} taken from the positions; to keep the file's, use its "
         "reader in geoaim.tracks.formats"

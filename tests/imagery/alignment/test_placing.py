@@ -92,6 +92,36 @@ def test_a_corner_that_may_be_off_is_warned_of(aim, ortho, monkeypatch):
         placing.place_by_imagery(aim, ortho, progress=no_progress)
 
 
+def state_world(aim, imagery, **options):
+    placed = place_by_imagery(aim, imagery, progress=no_progress, **options)
+    return placed.report["position"], geoaim.AIM.summarize(placed)
+
+
+def test_a_place_is_as_sure_as_the_imagery(aim, ortho, tmp_path):
+    geoaim.write_aim(replace(ortho, report={}), tmp_path / "ortho.tif")
+    position, lines = state_world(aim, tmp_path / "ortho.tif")
+    assert position["reference"] == "ortho.tif"
+    assert lines["relative to ortho.tif (95 %)"].startswith("±0.")
+    assert lines["in the world (95 %)"].startswith("±6.1")  # 2.45 times 2.5 m
+    assert "2.5 m is supposed" in lines["in the world (95 %)"]
+    _, lines = state_world(aim, tmp_path / "ortho.tif", accuracy=0.0)
+    assert "taking the imagery as right" in lines["in the world (95 %)"]
+    _, lines = state_world(aim, tmp_path / "ortho.tif", accuracy=1.0)
+    assert lines["in the world (95 %)"].startswith("±2.4")
+    assert "supposed" not in lines["in the world (95 %)"]
+
+
+def test_web_tiles_are_less_sure_than_an_orthophoto(ortho):
+    tiled = {"imagery": [{"name": "host", "zoom": 19}]}
+    covariance, supposed = placing._choose_covariance(replace(ortho, report=tiled), None)
+    np.testing.assert_allclose(covariance, 4.8**2 * np.eye(2))
+    assert supposed == {"supposed_accuracy_m": 4.8}
+    stated = {"position": {"source": "control points", "covariance_m2": [[0.01, 0], [0, 0.04]]}}
+    covariance, supposed = placing._choose_covariance(replace(ortho, report=stated), None)
+    np.testing.assert_allclose(covariance, np.diag([0.01, 0.04]))
+    assert supposed == {}
+
+
 def test_other_ground_is_refused(aim, ortho):
     generator = np.random.default_rng(2)
     noise = cv2.GaussianBlur(generator.uniform(0, 255, ortho.image.shape), (0, 0), 2)

@@ -36,6 +36,18 @@ def test_points_on_a_photo_make_the_first_one_alone_the_reference(frame, time):
     assert choose_reference_time(points, open_with_telemetry()) == time
 
 
+def test_points_of_another_zone_than_the_telemetry_are_warned_of():
+    points = replace(make_points(crs="EPSG:32635"), crs="EPSG:32636")
+    video = replace(
+        open_video([textured(np.random.default_rng(1), 300, 400)] * 5),
+        read_telemetry=open_with_telemetry().read_telemetry,
+    )
+    reference = choose_reference(video)
+    scaled = replace(points, pixels=points.pixels * [400 / 1920, 300 / 1080])
+    with pytest.warns(GeoaimWarning, match="km away: do the points state the right CRS"):
+        georeference_reference_frame(scaled, video, reference, None, None)
+
+
 def test_points_on_the_reference_need_no_registration():
     video = open_video([textured(np.random.default_rng(1), 300, 400)] * 5)
     reference = choose_reference(video, time=0.0)

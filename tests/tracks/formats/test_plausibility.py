@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 
 from geoaim.base.errors import GeoaimWarning, TracksError
+from geoaim.base.world import World
 from geoaim.tracks.files import read_plain_tracks
 from geoaim.tracks.formats import read_tracks
-from geoaim.tracks.formats.plausibility import check_plausibility, derive_contradicted_motion
+from geoaim.tracks.formats.plausibility import (
+    check_place,
+    check_plausibility,
+    derive_contradicted_motion,
+)
 from tests.tracks.formats import test_levelx, test_readers
 
 SAMPLE = read_plain_tracks(Path(__file__).parents[3] / "samples/tracks.csv")  # 64 agents
@@ -34,6 +39,22 @@ def scale_speed(states):
 
 def scale_position(states):
     return states * [500.0, 500.0, 1.0, 500.0]
+
+
+@pytest.mark.parametrize(
+    ("world", "scale", "shift", "message"),
+    [
+        (SAMPLE.world, 1.0, SAMPLE.world.origin, "are x and y absolute"),
+        (World("EPSG:32635"), 1 / 0.3048, np.divide(SAMPLE.world.origin, 0.3048), "are they feet"),
+        (World("EPSG:3857"), 1.0, (3149000.0, 7303000.0), "1.73 times .* Use EPSG:32635"),
+        (SAMPLE.world, 1e-5, (28.29, 54.7), "are they degrees"),
+    ],
+)
+def test_positions_that_lie_elsewhere_than_their_crs_are_refused(world, scale, shift, message):
+    states = SAMPLE.states * [scale, scale, 1, 1] + np.array([*shift, 0, 0])
+    check_place("a.csv", SAMPLE)
+    with pytest.raises(TracksError, match=f"a.csv: .*{message}"):
+        check_place("a.csv", replace(SAMPLE, states=states, world=world))
 
 
 def reverse(states):

@@ -42,7 +42,7 @@ def run(session, *actions):
 
 def test_coordinates_off_the_earth_are_refused_at_once(task):
     _, reply = handle(open_session(task), {"action": "add", "lon": 200.0, "lat": 95.0})
-    assert "lie outside the area of EPSG:4326" in reply["error"]
+    assert "lies outside the area where that is used" in reply["error"]
 
 
 def test_imagery_of_another_place_gives_a_warning(task):
