@@ -374,3 +374,15 @@ def test_turned_boxes_that_the_border_cuts_off_are_completed():
     middle = 15 + speed * times[present] - length / 2
     assert np.abs(tracks.states[0, present, 0] - middle).max() < 0.1
     assert np.abs(tracks.states[0, present, 3] - speed).max() < 0.5
+
+
+def test_observed_speeds_are_stated_with_how_surely_they_are_known(junction):
+    found = track(junction)
+    order = pair(junction, found)[:2]  # those that drive
+    known = np.isfinite(found.observed[order, :, 3])
+    assert (np.isfinite(found.observed_sigma[order]) == known).all()
+    first = found.observed_sigma[order, known.argmax(axis=1)]
+    assert (first > 1.5 * found.observed_sigma[order, -1]).all()
+    error = (found.observed[order] - junction.states[order])[..., 3][known]
+    ratio = error / found.observed_sigma[order][known]
+    assert 0.2 < np.sqrt((ratio**2).mean()) < 1.5
