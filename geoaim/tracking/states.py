@@ -166,7 +166,9 @@ def _describe_agents(
         whole = part[~cut[part]]
         used = whole if len(whole) else part  # boxes that may be cut off tell no size
         turns = None if turn is None else turn[used]
-        types.append(vote_type(detections.types[part].tolist(), detections.extent[used], turns))
+        pixel = float(np.median(detections.resolution[used])) if len(used) else 0.0
+        named = detections.types[part].tolist()
+        types.append(vote_type(named, detections.extent[used], turns, resolution=pixel))
     typical = np.array([get_typical_size(kind) for kind in types]).reshape(-1, 2)
     return AgentTraits(tuple(types), typical)
 

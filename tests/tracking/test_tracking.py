@@ -16,6 +16,7 @@ from geoaim.tracking.ground_detections import place_boxes
 from geoaim.tracking.noise import estimate_noise
 from geoaim.tracking.roofs import describe_roofs
 from geoaim.tracking.standing import Directions
+from geoaim.tracks.changes import cut_tracks
 from tests.tracking.paths import (
     ERRORS,
     RATE,
@@ -386,3 +387,15 @@ def test_observed_speeds_are_stated_with_how_surely_they_are_known(junction):
     error = (found.observed[order] - junction.states[order])[..., 3][known]
     ratio = error / found.observed_sigma[order][known]
     assert 0.2 < np.sqrt((ratio**2).mean()) < 1.5
+
+
+def test_fragments_are_dropped_unless_the_video_is_as_short(junction):
+    def cut(frames, step):
+        empty = DetectedBoxes(np.empty((0, 4)))
+        return [frame if 20 <= n < step else empty for n, frame in enumerate(frames)]
+
+    with pytest.raises(TracksError, match=r"last under 0\.5 s"):
+        track(junction, EXACT, change=lambda frames: cut(frames, 30))
+    assert len(track(junction, EXACT, change=lambda frames: cut(frames, 40)).ids) == 4
+    short = cut_tracks(junction, 0.0, 0.4)
+    assert len(track(short, EXACT).ids) == 4
