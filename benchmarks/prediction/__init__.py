@@ -16,6 +16,7 @@ from benchmarks.prediction import (
     stanford,
     stanford_baselines,
     steering,
+    unsure_speeds,
     vehicles,
     zero_shot,
 )
@@ -39,4 +40,5 @@ EXPERIMENTS = {
     "zero_shot": zero_shot.run,
     "observed_states": observed_states.run,
     "own_place": own_place.run,
+    "unsure_speeds": unsure_speeds.run,
 }

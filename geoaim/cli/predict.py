@@ -49,7 +49,8 @@ def predict(
 ) -> None:
     """Predict futures of all vehicles, or of all pedestrians, jointly.
 
-    All other agents keep their speed and heading. A .csv has a row for each sample, agent and time.
+    All other agents keep their speed and heading; those whose own speed is too unsure do too, and
+    are counted as left out. A .csv has a row for each sample, agent and time.
     Pictures show all samples on the map, and in white the recorded future, if there is one after
     --at.
 
@@ -60,9 +61,9 @@ def predict(
     from geoaim.base.files import write_figure
     from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
     from geoaim.prediction.predict import predict as predict_futures
+    from geoaim.prediction.sureness import describe_left_out
     from geoaim.rendering.pictures import write_pictures
     from geoaim.rendering.scene import find_step
-    from geoaim.tracks.agent_types import select_group
 
     with show_progress() as progress, report_errors():
         inputs = [aim, tracks, files["lights"], files["hdmap"]]
@@ -87,12 +88,10 @@ def predict(
             write_figure(draw_futures(futures), output)
         else:
             write_pictures(film_futures(futures), output, frame_rate=1 / scene.dt)
-    known = torch.isfinite(futures.states[0, :, 0, 0])
-    of_kind = select_group(scene.types, model.config.kind)
-    predicted = int((of_kind & known.cpu().numpy()).sum())
+    left = f"; left out: {describe_left_out(futures.left_out)}" if futures.left_out else ""
     console.print(
         f"{output}: {samples} futures of {horizon * model.config.dt:g} s after "
-        f"{float(scene.times[start]):g} s, {predicted} agents"
+        f"{futures.time:g} s, {int(futures.mark_predicted().sum())} agents{left}"
     )
     if weights is None:
         console.print(

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from geoaim.base.errors import TracksError
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments, concat
+from geoaim.prediction.sureness import describe_left_out, list_left_out, mark_sure
 from geoaim.rendering.scene import Scene, slice_scene
 from geoaim.simulation.kinematics import bicycle
 from geoaim.tracks.agent_types import select_group
@@ -90,7 +91,7 @@ def cut_simulation(scene: Scene, controlled: Bool[Tensor, "N"]) -> Segments:
     Agents enter in their recorded states, which need not be known from the past alone.
     """
     agents = torch.arange(len(scene.ids), device=controlled.device)[None]
-    whole = replace(scene, observed=scene.states)
+    whole = replace(scene, observed=scene.states, observed_sigma=None)
     return _cut(whole, agents, controlled[None], round(scene.dt, 6))
 
 
@@ -108,18 +109,17 @@ def cut_future(scene: Scene, group: str, dt: float, *, steps: slice, start: int)
 
     Returns:
         One segment with all agents of the scene; those that are present at `start` are present at
-        all later steps.
+        all later steps. Those that `mark_sure` leaves out move straight on.
 
     Raises:
-        TracksError: no agent of the group is present at that step.
+        TracksError: no agent of the group is present at that step, and surely known.
     """
-    scene = _keep_observed(scene)
-    controlled = mask_agents(scene, group) & scene.present[:, start]
+    controlled = mask_agents(scene, group) & mark_sure(scene)[:, start]
     if not controlled.any():
-        raise TracksError(
-            f"no {group} is present at {float(scene.times[start]):g} s, or none for long enough to "
-            "know its speed"
-        )
+        left = list_left_out(scene, group, start)
+        text = f"no {group} is present at {float(scene.times[start]):g} s"
+        raise TracksError(f"{text} and surely known: {describe_left_out(left)}" if left else text)
+    scene = _keep_observed(scene, unless=~controlled)
     agents = torch.arange(len(scene.ids), device=controlled.device)[None]
     past = _cut(slice_scene(scene, slice(steps.start, start + 1)), agents, controlled[None], dt)
     lights = scene.light_states.long()[steps]
@@ -133,10 +133,16 @@ def mask_agents(scene: Scene, group: str) -> Bool[Tensor, "N"]:
     return torch.from_numpy(select_group(scene.types, group)).to(scene.present.device)
 
 
-def _keep_observed(scene: Scene) -> Scene:
-    """Count agents as present only where their states are known from the past alone."""
-    known = torch.isfinite(scene.observed).all(dim=2)
-    return replace(scene, present=scene.present & known)
+def _keep_observed(scene: Scene, unless: Bool[Tensor, "N"] | None = None) -> Scene:
+    """Count agents as present only where their states are surely known from the past alone.
+
+    Those of `unless` are not predicted, and stand in the way of others where they are known at all.
+    """
+    present = mark_sure(scene)
+    if unless is not None:
+        known = scene.present & torch.isfinite(scene.observed).all(dim=2)
+        present |= known & unless[:, None]
+    return replace(scene, present=present)
 
 
 def _measure_longest(present: Bool[Tensor, "n T"]) -> int:

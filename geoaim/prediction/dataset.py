@@ -11,6 +11,7 @@ from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES, Config
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.segments import Segments, concat, pick
+from geoaim.prediction.sureness import mark_sure
 from geoaim.rendering.atlas import stack_grounds
 from geoaim.rendering.ground import Ground, View
 from geoaim.rendering.prefiltering import prefilter_ground
@@ -113,9 +114,9 @@ def cut_moving_and_parked(scene: Scene, config: Config, steps: int | None = None
         TracksError: no moving agent of the kind is there for long enough.
     """
     steps, stride = steps or SEGMENT_STEPS[config.kind], SEGMENT_STRIDES[config.kind]
-    if scene.smoothed:  # of agents whose heading is known at some time
-        known = torch.isfinite(scene.observed).all(dim=2).any(dim=1, keepdim=True)
-        scene = replace(scene, observed=scene.states, present=scene.present & known)
+    if scene.smoothed:  # of agents that are surely known at some time
+        present = scene.present & mark_sure(scene).any(dim=1, keepdim=True)
+        scene = replace(scene, observed=scene.states, observed_sigma=None, present=present)
     moving = cut_segments(scene, config.kind, steps=steps, stride=stride)
     try:
         parked = cut_segments(scene, config.kind, steps=steps, stride=steps, parked=True)

@@ -1,7 +1,7 @@
 """Sampled futures of a scene, and how they are drawn on its map."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from torch import Tensor
 from geoaim.base.displays import Display
 from geoaim.base.errors import TracksError
 from geoaim.base.world import World
+from geoaim.prediction.sureness import describe_left_out
 from geoaim.rendering.lines import LIGHT_COLOURS
 from geoaim.rendering.scene import Scene
 from geoaim.tracks.agent_types import get_colour
@@ -37,6 +38,8 @@ class Futures(Display):
         start: index of the scene's last observed step.
         dt: time between steps, s.
         predicted: agents that the model moves; None: those whose samples differ.
+        left_out: agents of the model's kind that are there at `start` and that it does not move:
+            why not, by id.
     """
 
     states: Float[Tensor, "K N T 4"]
@@ -44,6 +47,7 @@ class Futures(Display):
     start: int
     dt: float
     predicted: Bool[Tensor, "N"] | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def world(self) -> World | None:
@@ -84,15 +88,16 @@ class Futures(Display):
         return known if len(positions) == 1 else known & ~same
 
     def summarize(self) -> dict[str, str]:
-        """Summarize the number of samples, the predicted time and the predicted agents."""
+        """Summarize the samples, the predicted time and agents, and why others are left out."""
         samples, _, steps, _ = self.states.shape
         types = self.scene.types
         chosen = [types[row] for row in self.mark_predicted().nonzero()[:, 0].tolist()]
-        return {
+        lines = {
             "samples": str(samples),
             "time": f"{steps * self.dt:g} s after {self.time:g} s, {steps} steps",
             "predicted": count_agents(chosen) if chosen else "no agent",
         }
+        return lines | ({"left out": describe_left_out(self.left_out)} if self.left_out else {})
 
     def fit_limits(self) -> Float[Tensor, "2 2"]:
         """Lowest and highest x and y of a picture with all futures, as far as the map reaches."""

@@ -1,5 +1,6 @@
 """Futures on the map as a picture and frames of a film, and as a table."""
 
+import json
 import os
 from collections.abc import Iterator, Sequence
 
@@ -123,8 +124,9 @@ def write_futures(
 ) -> None:
     """Write a CSV with a row for each sample, step and agent that is present in it.
 
-    It begins with the comment lines of the tracks format (`# crs`, `# origin`). Columns are sample,
-    id, type, time (s), x, y (metres from that origin), heading (rad), speed (m/s).
+    It begins with the comment lines of the tracks format (`# crs`, `# origin`), and one for each
+    agent that is left out. Columns are sample, id, type, time (s), x, y (metres from that origin),
+    heading (rad), speed (m/s).
 
     Args:
         futures: the futures from `predict`.
@@ -134,6 +136,8 @@ def write_futures(
     scene = futures.scene
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         file.write(format_world(world or futures.world or World(None)))
+        for name, reason in futures.left_out.items():
+            file.write(f"# left out: {json.dumps(name)}, {reason}\n")
         for sample, future in enumerate(futures.states):  # a table of all takes much memory
             agent, step = torch.isfinite(future[..., 0]).nonzero().cpu().numpy().T
             values = future.double().cpu().numpy()[agent, step].round(4)

@@ -17,6 +17,7 @@ from geoaim.prediction.futures import Futures
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.plans import Goal
 from geoaim.prediction.rollouts import DT_TOLERANCE_S
+from geoaim.prediction.sureness import list_left_out
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.rendering.scene import Scene
 
@@ -54,11 +55,12 @@ def predict(  # noqa: PLR0913  (what is predicted, and how)
     Returns:
         The futures: `states` (K, N, T, 4) holds x, y, heading and speed of all agents at the T
         steps after `start`; NaN for those that are absent at `start`. Nothing that agents do later
-        is used: those of other kinds move straight on. Lights change as recorded and, beyond the
-        scene's end, keep their last states.
+        is used: those of other kinds move straight on, and those of the group whose speed is too
+        unsure (`MAX_SPEED_SIGMA`), which `left_out` lists. Lights change as recorded and, beyond
+        the scene's end, keep their last states.
 
     Raises:
-        TracksError: no agent of the group is present at that step.
+        TracksError: no agent of the group is present at that step, or surely known.
         ValueError: the scene's dt is not the model's, there is no such step, a model with
             proposals needs a longer history or another horizon, a goal's agent is not predicted,
             or the futures need too much memory.
@@ -86,7 +88,8 @@ def predict(  # noqa: PLR0913  (what is predicted, and how)
         futures = futures[choose_covering(paths, samples)]
     present = segment.present[0, :, history:, None]
     states = torch.where(present, futures, torch.nan)
-    return Futures(states, scene, start, config.dt, segment.controlled[0])
+    left_out = list_left_out(scene, config.kind, start)
+    return Futures(states, scene, start, config.dt, segment.controlled[0], left_out)
 
 
 def choose_covering(paths: Float[Tensor, "P t 2"], count: int) -> list[int]:

@@ -52,6 +52,7 @@ class Scene(Display):
             the tracks until then; NaN while absent or not yet seen for long enough. Predictions
             start from these.
         world: the plane of the metres; None: not known.
+        observed_sigma: (N, T) standard deviations of the observed speeds, m/s. None: not stated.
         smoothed: whether poses and speeds are smoothed estimates of noisy detections, as those of
             `track_video` are; models learn from these.
     """
@@ -69,6 +70,7 @@ class Scene(Display):
     observed: Float[Tensor, "N T 4"]
     world: World | None = None
     smoothed: bool = False
+    observed_sigma: Float[Tensor, "N T"] | None = None
 
     @property
     def states(self) -> Float[Tensor, "N T 4"]:
@@ -95,6 +97,9 @@ class Scene(Display):
             stop_lines=self.stop_lines.to(device=device, dtype=dtype),
             light_states=self.light_states.to(device=device),
             observed=self.observed.to(device=device, dtype=dtype),
+            observed_sigma=None
+            if self.observed_sigma is None
+            else self.observed_sigma.to(device=device, dtype=dtype),
         )
 
     def summarize(self) -> dict[str, str]:
@@ -142,6 +147,7 @@ def slice_scene(scene: Scene, steps: slice) -> Scene:
         present=scene.present[:, steps],
         light_states=scene.light_states[steps],
         observed=scene.observed[:, steps],
+        observed_sigma=None if scene.observed_sigma is None else scene.observed_sigma[:, steps],
     )
 
 
@@ -178,6 +184,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
             f"only {share:.0%} of the agents' positions lie on the map. Do both have the same "
             "origin? Tracks in pixels have theirs at the top-left corner of the image"
         )
+    sigma = tracks.observed_sigma
     lines, states = np.empty((0, 2, 2)), np.empty((len(tracks.times), 0), np.int8)
     if lights is not None:
         lines = transform_stop_lines(lights, aim.world)
@@ -197,6 +204,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
         observed=torch.tensor(tracks.get_observed(), dtype=torch.float32),
         world=aim.world,
         smoothed=tracks.uncertainty is not None,
+        observed_sigma=None if sigma is None else torch.tensor(sigma, dtype=torch.float32),
     )
 
 

@@ -150,7 +150,9 @@ def apply_rollout(
     if present is not None:
         part = replace(part, present=present)
     states = torch.where(part.present[..., None], states.detach(), torch.nan)
-    return replace(part, poses=states[..., :3], speeds=states[..., 3], observed=states)
+    return replace(
+        part, poses=states[..., :3], speeds=states[..., 3], observed=states, observed_sigma=None
+    )
 
 
 def step(

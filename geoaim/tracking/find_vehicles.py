@@ -16,7 +16,7 @@ from geoaim.tracking.background_difference import Ground, find_foreground, learn
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_grid import GroundGrid, make_grid, measure_resolution
 from geoaim.tracking.vehicle_shapes import find_shapes
-from geoaim.tracks.tracks import Tracks
+from geoaim.tracks.tracks import STATED, Tracks
 
 LEARNING_FRAMES = 30  # spread over the video, by which the ground's noise and shadows are learnt
 MAX_RESOLUTION = 0.6  # metres per pixel; a car is no longer several pixels wide in coarser frames
@@ -142,7 +142,7 @@ def finish_tracks(tracks: Tracks) -> Tracks:
             "what is seldom seen; vehicles that move are needed, or boxes (--detections)"
         )
     chosen, numbers = kept[agent], np.flatnonzero(kept)
-    rows = {name: tracks.get_rows(name) for name in ("states", "observed", "seen", "uncertainty")}
+    rows = {name: tracks.get_rows(name) for name in ("states", *STATED)}
     rows = {name: values[chosen] for name, values in rows.items() if values is not None}
     if "uncertainty" in rows:
         rows["uncertainty"][:, 0] = np.hypot(rows["uncertainty"][:, 0], SHAPE_SIGMA_M)

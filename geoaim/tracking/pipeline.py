@@ -27,10 +27,14 @@ from geoaim.tracking.roofs import correct_roofs
 from geoaim.tracking.scale import check_scale
 from geoaim.tracking.standing import Directions
 from geoaim.tracking.states import make_states
+from geoaim.tracks.changes import select_agents
 from geoaim.tracks.tracks import Tracks
 
 MAX_DOUBLED = 0.05  # share of doubled boxes without a warning
 MAX_UNUSED = 0.25  # share of boxes in no track without a warning
+# s; tracks that last less are pieces of others. Of 33 on two videos without a detector none has the
+# speed of a vehicle
+MIN_TRACK_S = 0.5
 
 
 def track_video(
@@ -76,18 +80,13 @@ def track_video(
     lanes = None if hdmap is None else Directions(*sample_lane_directions(hdmap))
     size = opened.height, opened.width
     times = find_image_times(opened, poses.registration.index, poses.times)
-    tracks = track_boxes(
-        known,
-        poses.world_from_frame,
-        times,
-        aim.world,
-        size,
-        lanes=lanes,
-        flying_height=flying_height,
-    )
-    if detections is None:
-        tracks = finish_tracks(tracks)
-        check_scale(tracks, aim)
+    followed = _follow_boxes(known, poses.world_from_frame, times, size, flying_height)
+    tracks = _drop_fragments(make_states(*followed, times, aim.world, lanes))
+    if detections is not None:
+        check_tracks(tracks)
+        return tracks
+    tracks = finish_tracks(tracks)
+    check_scale(tracks, aim)
     return tracks
 
 
@@ -160,9 +159,23 @@ def track_boxes(  # noqa: PLR0913  (its options)
         TracksError: no track is found.
     """
     followed = _follow_boxes(frames, world_from_frame, times, size, flying_height)
-    tracks = make_states(*followed, times, world, lanes)
+    tracks = _drop_fragments(make_states(*followed, times, world, lanes))
     check_tracks(tracks)
     return tracks
+
+
+def _drop_fragments(tracks: Tracks) -> Tracks:
+    """Drop tracks that last for under `MIN_TRACK_S`, or half of a video that is as short."""
+    there, count = tracks.present, len(tracks.times)
+    first = tracks.times[there.argmax(axis=1)]
+    lasting = tracks.times[count - 1 - there[:, ::-1].argmax(axis=1)] - first
+    kept = lasting >= min(MIN_TRACK_S, float(tracks.times[-1] - tracks.times[0]) / 2)
+    if not kept.any():
+        raise TracksError(
+            f"all of {len(kept)} tracks last under {MIN_TRACK_S:g} s; vehicles that are seen for "
+            "longer are needed"
+        )
+    return tracks if kept.all() else select_agents(tracks, kept)
 
 
 def _follow_boxes(

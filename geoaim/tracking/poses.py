@@ -26,7 +26,6 @@ from geoaim.tracks.agent_types import find_group
 from geoaim.tracks.tracks import estimate_heading
 
 MAX_REVERSE_SPEED = 3.5  # m/s; a faster vehicle drives forward
-MAX_OBSERVED_SPEED_SIGMA = 0.6  # m/s; a less certain speed is not known yet
 MIN_FORWARD_M = 3.0  # over which it does
 MIN_TRAVEL_M = 1.5  # of a vehicle that does not stand all the time
 ORIENTED_SIGMA_RAD = 0.05  # of the heading of an oriented box
@@ -91,7 +90,7 @@ def turns_on_spot(kind: str) -> bool:
 
 def observe_states(
     filtered: TrackMotion, rows: TrackRows, agents: AgentTraits, standing: Float[Array, "N"]
-) -> Float[Array, "S 4"]:
+) -> Float[Array, "S 5"]:
     """Compute the states that are known at each time.
 
     Args:
@@ -101,9 +100,10 @@ def observe_states(
         standing: heading of each vehicle before it moves, rad; NaN if it is unknown.
 
     Returns:
-        The states; NaN where the heading or the speed is not known yet.
+        The states, with the standard deviations of their speeds, m/s; NaN where the heading is not
+        known yet.
     """
-    observed = np.full((len(rows.step), 4), np.nan)
+    observed = np.full((len(rows.step), 5), np.nan)
     for agent, part in enumerate(rows.list_parts()):
         path, velocity = filtered.mean[part, 0], filtered.mean[part, 1]
         if turns_on_spot(agents.types[agent]):
@@ -113,9 +113,9 @@ def observe_states(
             given = None if np.isnan(standing[agent]) else float(standing[agent])
             heading = observe_headings(path, float(agents.sizes[agent, 0]), given)
             speed = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
-        states = np.column_stack([path, wrap_angle(heading), speed])
-        certain = np.sqrt(filtered.covariance[part, 1, 1]) < MAX_OBSERVED_SPEED_SIGMA
-        usable = np.isfinite(heading) & certain
+        sigma = np.sqrt(filtered.covariance[part, 1, 1])
+        states = np.column_stack([path, wrap_angle(heading), speed, sigma])
+        usable = np.isfinite(heading)
         observed[part][usable] = states[usable]
     return observed
 

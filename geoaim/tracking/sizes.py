@@ -13,6 +13,7 @@ from geoaim.tracks.agent_types import OTHER_SIZE, TYPICAL_SIZES, find_group
 SIZE_SIGMA = 0.25  # of the logarithms of sizes about those that are typical of their type
 EFFECTIVE_BOXES = 30.0  # independent boxes that a track counts as at most: a detector's errors last
 MIN_SIZE_M = 0.2
+MAX_SMALL_RESOLUTION = 0.12  # metres per pixel up to which vehicles are searched with people
 UNKNOWN_TYPE = "unknown"  # of agents without a type and without extents
 ITERATIONS = 3
 TURNS = np.radians(np.arange(0.0, 180.0, 1.0))  # headings that are compared with a box's extents
@@ -94,7 +95,11 @@ def estimate_size(
 
 
 def vote_type(
-    types: Sequence[str], extent: Float[Array, "m 2"], turn: Float[Array, "m"] | None = None
+    types: Sequence[str],
+    extent: Float[Array, "m 2"],
+    turn: Float[Array, "m"] | None = None,
+    *,
+    resolution: float = 0.0,
 ) -> str:
     """Choose the type that a detector gave most often; without any, the one that fits its boxes.
 
@@ -102,6 +107,8 @@ def vote_type(
         types: of the boxes, "" where the detector gave none.
         extent: their sides, m.
         turn: headings relative to the boxes' first sides, rad; None: any may be.
+        resolution: metres per pixel. Beyond `MAX_SMALL_RESOLUTION` only vehicles are several pixels
+            wide, and what is smaller is a part of one.
 
     Returns:
         The type.
@@ -119,6 +126,8 @@ def vote_type(
         turns = turn[usable][None]
     kinds = {"pedestrian": OTHER_SIZE, **TYPICAL_SIZES}
     del kinds["motorcycle"]  # as large as a bicycle with its rider
+    if resolution > MAX_SMALL_RESOLUTION:
+        kinds = {kind: size for kind, size in kinds.items() if find_group(kind) == "vehicle"}
 
     def measure_misfit(kind: str) -> float:
         misfit = (np.log(predict_extents(np.array(kinds[kind]), turns)) - known) ** 2

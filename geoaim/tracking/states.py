@@ -87,7 +87,8 @@ def make_states(
     _add_lasting(poses, rows, agents, (lasting, np.where(cut, size_sigma[track] / 2, 0.0)))
     found = {
         "states": poses.states,
-        "observed": observed,
+        "observed": observed[:, :4],
+        "observed_sigma": observed[:, 4],
         "seen": rows.detection >= 0,
         "uncertainty": poses.uncertainty,
     }
@@ -109,7 +110,7 @@ def _observe(
     tracklets: Tracklets,
     times: Float[Array, "T"],
     lanes: Directions | None,
-) -> tuple[TrackRows, Int[Array, "M"], Float[Array, "S 4"]]:
+) -> tuple[TrackRows, Int[Array, "M"], Float[Array, "S 5"]]:
     """What was known as the frames came, in rows of joined tracks, with each detection's agent.
 
     From a track's confirmation on, its type, size and first heading stay those of its first boxes.
@@ -138,7 +139,7 @@ def _observe(
     false = find_false_ends(smoothed, rows, detections, tracklets.sigma, times)
     agent = join_tracks(smoothed, rows, types, detections, times, false)
     joined = make_rows(agent[tracklets.track], detections.step)
-    placed = np.full((len(joined.step), 4), np.nan)
+    placed = np.full((len(joined.step), 5), np.nan)
     start = joined.bounds[agent[rows.agent]]
     known = np.isfinite(observed[:, 0])
     placed[(start + rows.step - joined.step[start])[known]] = observed[known]
@@ -165,7 +166,9 @@ def _describe_agents(
         whole = part[~cut[part]]
         used = whole if len(whole) else part  # boxes that may be cut off tell no size
         turns = None if turn is None else turn[used]
-        types.append(vote_type(detections.types[part].tolist(), detections.extent[used], turns))
+        pixel = float(np.median(detections.resolution[used])) if len(used) else 0.0
+        named = detections.types[part].tolist()
+        types.append(vote_type(named, detections.extent[used], turns, resolution=pixel))
     typical = np.array([get_typical_size(kind) for kind in types]).reshape(-1, 2)
     return AgentTraits(tuple(types), typical)
 

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Int, Shaped
 from numpy import ndarray as Array
 
 from geoaim.base.errors import TracksError
 from geoaim.base.geometry import wrap_angle
 from geoaim.base.world import World, change_world
-from geoaim.tracks.tracks import MAX_STATES, TICKS_PER_S, Tracks, describe_times
+from geoaim.tracks.tracks import MAX_STATES, STATED, TICKS_PER_S, Tracks, describe_times
 
 
 def to_world(tracks: Tracks, world: World) -> Tracks:
@@ -71,8 +71,23 @@ def cut_tracks(tracks: Tracks, start: float, duration: float) -> Tracks:
         world=tracks.world,
         **{
             name: None if (value := getattr(tracks, name)) is None else value[agents][:, steps]
-            for name in ("observed", "seen", "uncertainty")
+            for name in STATED
         },
+    )
+
+
+def select_agents(tracks: Tracks, kept: Bool[Array, "N"]) -> Tracks:
+    """Select some agents, at all times; long tracks stay in rows (`Tracks.from_rows`)."""
+    chosen, numbers = kept[np.nonzero(tracks.present)[0]], np.flatnonzero(kept)
+    rows = {name: tracks.get_rows(name) for name in ("states", *STATED)}
+    return Tracks.from_rows(
+        tracks.present[numbers],
+        {name: values[chosen] for name, values in rows.items() if values is not None},
+        times=tracks.times,
+        sizes=tracks.sizes[numbers],
+        types=tuple(tracks.types[number] for number in numbers),
+        ids=tuple(tracks.ids[number] for number in numbers),
+        world=tracks.world,
     )
 
 
@@ -85,8 +100,8 @@ def merge_tracks(parts: Sequence[Tracks]) -> Tracks:
     Returns:
         Tracks of all agents at all times, in the world of the first ones; an agent is absent at
         times of other parts alone, which resampling fills. An id that an earlier part has becomes
-        "2-ID" in the second part, and so on. `seen` and `uncertainty` are kept where all parts
-        state them.
+        "2-ID" in the second part, and so on. `seen`, `uncertainty` and `observed_sigma` are kept
+        where all parts state them.
 
     Raises:
         TracksError: only some have a CRS, they share no time, or there would be too many states.
@@ -115,6 +130,7 @@ def merge_tracks(parts: Sequence[Tracks]) -> Tracks:
 
     seen = [part.seen for part in parts if part.seen is not None]
     uncertainty = [part.uncertainty for part in parts if part.uncertainty is not None]
+    sigma = [part.observed_sigma for part in parts if part.observed_sigma is not None]
     derived = any(part.observed is not None for part in parts)
     return Tracks(
         times=np.concatenate([part.times for part in parts])[first],
@@ -127,6 +143,7 @@ def merge_tracks(parts: Sequence[Tracks]) -> Tracks:
         observed=spread([part.get_observed() for part in parts], np.nan) if derived else None,
         seen=spread(seen, False) if len(seen) == len(parts) else None,
         uncertainty=spread(uncertainty, np.nan) if len(uncertainty) == len(parts) else None,
+        observed_sigma=spread(sigma, np.nan) if len(sigma) == len(parts) else None,
     )
 
 
@@ -186,11 +203,15 @@ def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tra
         )
     times = tracks.times[0] + np.arange(steps) / rate
     states, observed = np.full((2, len(tracks.ids), steps, 4), np.nan)
+    sigma = None if tracks.observed_sigma is None else np.full(states.shape[:2], np.nan)
     for agent, present in enumerate(tracks.present):
         recorded, known = tracks.states[agent, present], tracks.get_observed()[agent, present]
         states[agent] = _interpolate(tracks.times[present], recorded, times, max_gap)
         here = np.isfinite(states[agent, :, 0])
-        observed[agent, here] = _move_on(tracks.times[present], known, times[here])
+        last = _find_last(tracks.times[present], times[here])
+        observed[agent, here] = _move_on(tracks.times[present], known, times[here], last)
+        if sigma is not None and tracks.observed_sigma is not None:
+            sigma[agent, here] = tracks.observed_sigma[agent, present][last]
     present = np.isfinite(states[..., 0])
     seen, uncertainty = _resample_certainty(tracks, times, present)
     return replace(
@@ -201,6 +222,7 @@ def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tra
         observed=observed,
         seen=seen,
         uncertainty=uncertainty,
+        observed_sigma=sigma,
     )
 
 
@@ -236,11 +258,18 @@ def _check_gap(tracks: Tracks, max_gap: float) -> None:
         )
 
 
+def _find_last(times: Float[Array, "M"], at: Float[Array, "T"]) -> Int[Array, "T"]:
+    """Find the last row until each time."""
+    return np.searchsorted(times, at + 1 / TICKS_PER_S, side="right") - 1
+
+
 def _move_on(
-    times: Float[Array, "M"], states: Float[Array, "M 4"], at: Float[Array, "T"]
+    times: Float[Array, "M"],
+    states: Float[Array, "M 4"],
+    at: Float[Array, "T"],
+    last: Int[Array, "T"],
 ) -> Float[Array, "T 4"]:
     """Move the last state until each time on to that time, at its speed and heading."""
-    last = np.searchsorted(times, at + 1 / TICKS_PER_S, side="right") - 1
     moved, dt = states[last], at - times[last]
     distance = moved[:, 3] * np.where(dt > 1 / TICKS_PER_S, dt, 0.0)
     moved[:, 0] += distance * np.cos(moved[:, 2])

@@ -58,6 +58,7 @@ from geoaim.tracks.tables import make_tracks
 from geoaim.tracks.tracks import (
     COLUMNS,
     OBSERVED_COLUMNS,
+    OBSERVED_SIGMA_COLUMN,
     SEEN_COLUMN,
     TICKS_PER_S,
     UNCERTAINTY_COLUMNS,
@@ -72,8 +73,11 @@ if TYPE_CHECKING:
 
 CSV_DECIMALS = dict(zip(COLUMNS[2:], (3, 3, 3, 4, 3, 2, 2), strict=True))
 CSV_DECIMALS |= dict(zip(OBSERVED_COLUMNS, (3, 3, 4, 3), strict=True))
-CSV_DECIMALS |= dict(zip(UNCERTAINTY_COLUMNS, (3, 3), strict=True))
-KNOWN_COLUMNS = (*COLUMNS, *OBSERVED_COLUMNS, SEEN_COLUMN, *UNCERTAINTY_COLUMNS)
+CSV_DECIMALS |= dict.fromkeys((OBSERVED_SIGMA_COLUMN, *UNCERTAINTY_COLUMNS), 3)
+KNOWN_COLUMNS = (
+    *(*COLUMNS, *OBSERVED_COLUMNS, OBSERVED_SIGMA_COLUMN),
+    *(SEEN_COLUMN, *UNCERTAINTY_COLUMNS),
+)
 MIN_CSV_DT_S = 1e-3
 LOCAL_CRS = "local"
 METADATA_KEY = b"geoaim_world"

@@ -13,6 +13,7 @@ from geoaim.tracks.tracks import (
     COLUMNS,
     MAX_STATES,
     OBSERVED_COLUMNS,
+    OBSERVED_SIGMA_COLUMN,
     SEEN_COLUMN,
     TICKS_PER_S,
     UNCERTAINTY_COLUMNS,
@@ -38,7 +39,8 @@ def make_tracks(rows: pd.DataFrame, world: World) -> Tracks:
     row, and agents are in the order of their first rows. Error messages name a row by its label in
     the table's index, which in tables from `read_table` is the row's number in the file. Observed
     states, and whether and how certainly agents were seen, are read where the table has all of
-    their columns (`OBSERVED_COLUMNS`, `SEEN_COLUMN`, `UNCERTAINTY_COLUMNS`).
+    their columns (`OBSERVED_COLUMNS`, `OBSERVED_SIGMA_COLUMN`, `SEEN_COLUMN`,
+    `UNCERTAINTY_COLUMNS`).
 
     Raises:
         TracksError: there are no rows, a value is missing or not a number, a heading is not in
@@ -87,6 +89,7 @@ def _spread_further_columns(
     fields = {}
     for name, columns in {
         "observed": OBSERVED_COLUMNS,
+        "observed_sigma": (OBSERVED_SIGMA_COLUMN,),
         "seen": (SEEN_COLUMN,),
         "uncertainty": UNCERTAINTY_COLUMNS,
     }.items():
@@ -97,7 +100,9 @@ def _spread_further_columns(
                 _refuse_rows(rows, column, wrong, "is not a number")
             values = np.full((*present.shape, len(columns)), np.nan)
             values[agent, step] = numbers.to_numpy(np.float64)
-            fields[name] = values[..., 0] > 0 if name == "seen" else values
+            fields[name] = values if len(columns) > 1 else values[..., 0]
+    if "seen" in fields:
+        fields["seen"] = fields["seen"] > 0
     return fields
 
 

@@ -27,8 +27,10 @@ if TYPE_CHECKING:
 COLUMNS = ("id", "type", "time", "x", "y", "heading", "speed", "length", "width")
 # further columns of tracks that state them
 OBSERVED_COLUMNS = ("observed_x", "observed_y", "observed_heading", "observed_speed")
+OBSERVED_SIGMA_COLUMN = "observed_speed_sigma"
 SEEN_COLUMN = "seen"
 UNCERTAINTY_COLUMNS = ("position_sigma", "heading_sigma")
+STATED = ("observed", "observed_sigma", "seen", "uncertainty")  # attributes of such tracks
 TICKS_PER_S = 1e6  # times that fall on the same tick are one time
 MIN_HEADING_SPEED = 0.3  # m/s; slower motion has no usable direction
 MAX_STATES = 200_000_000  # agents times steps; more is a broken file, or one that must be cut
@@ -57,6 +59,9 @@ class Tracks(Display):
         uncertainty: (N, T, 2) standard deviations of each coordinate of the position (m) and of the
             heading (rad); pi where the heading may be any, pi/2 where it may be the opposite. None:
             not stated.
+        observed_sigma: (N, T) standard deviations of the observed speeds, m/s; NaN where these are
+            not known. Who uses them says which are sure enough (`geoaim.prediction.sureness`).
+            None: not stated.
 
     Raises:
         ValueError: shapes do not match, times do not increase, a present state is not finite, a
@@ -73,6 +78,7 @@ class Tracks(Display):
     observed: Float[Array, "N T 4"] | None = field(default_factory=lambda: None)
     seen: Bool[Array, "N T"] | None = field(default_factory=lambda: None)
     uncertainty: Float[Array, "N T 2"] | None = field(default_factory=lambda: None)
+    observed_sigma: Float[Array, "N T"] | None = field(default_factory=lambda: None)
 
     def __post_init__(self) -> None:
         agents, steps = len(self.ids), len(self.times)
@@ -95,7 +101,11 @@ class Tracks(Display):
             raise ValueError("times do not increase; sort the steps and drop repeated ones")
         if np.shape(observed := self.get_observed()) != (agents, steps, 4):
             raise ValueError(f"observed has the shape {observed.shape}; that of states is needed")
-        for name, shape in {"seen": (agents, steps), "uncertainty": (agents, steps, 2)}.items():
+        for name, shape in {
+            "observed_sigma": (agents, steps),
+            "seen": (agents, steps),
+            "uncertainty": (agents, steps, 2),
+        }.items():
             value = getattr(self, name)
             if value is not None and np.shape(value) != shape:
                 raise ValueError(f"{name} has the shape {np.shape(value)}; {shape} is needed")
@@ -124,8 +134,7 @@ class Tracks(Display):
         if not np.isfinite(rows["states"]).all():
             raise ValueError("a state is not finite where its agent is present")
         tracks = object.__new__(cls)
-        optional = {"observed": None, "seen": None, "uncertainty": None}
-        vars(tracks).update(others, present=present, _rows=optional | rows)
+        vars(tracks).update(others, present=present, _rows=dict.fromkeys(STATED) | rows)
         return tracks
 
     if not TYPE_CHECKING:
@@ -157,8 +166,8 @@ class Tracks(Display):
     def to_dataframe(self) -> pd.DataFrame:
         """Make a table with a row for each agent and time at which it is present (`COLUMNS`).
 
-        Tracks that state them have the columns `OBSERVED_COLUMNS`, `SEEN_COLUMN` and
-        `UNCERTAINTY_COLUMNS` too.
+        Tracks that state them have the columns `OBSERVED_COLUMNS`, `OBSERVED_SIGMA_COLUMN`,
+        `SEEN_COLUMN` and `UNCERTAINTY_COLUMNS` too.
         """
         return next(self.iterate_dataframes(None))
 
@@ -202,9 +211,8 @@ class Tracks(Display):
             The parts.
         """
         places = np.flatnonzero(self.present)
-        states, observed, seen, uncertainty = (
-            self.get_rows(name) for name in ("states", "observed", "seen", "uncertainty")
-        )
+        states = self.get_rows("states")
+        observed, sigma, seen, uncertainty = (self.get_rows(name) for name in STATED)
         for begin in range(0, max(len(places), 1), size or max(len(places), 1)):
             part = slice(begin, None if size is None else begin + size)
             agent, step = np.unravel_index(places[part], self.present.shape)
@@ -214,6 +222,8 @@ class Tracks(Display):
             frame.insert(1, "type", np.array(self.types, object)[agent])
             if observed is not None:
                 frame[list(OBSERVED_COLUMNS)] = observed[part]
+            if sigma is not None:
+                frame[OBSERVED_SIGMA_COLUMN] = sigma[part]
             if seen is not None:
                 frame[SEEN_COLUMN] = seen[part].astype(int)
             if uncertainty is not None:

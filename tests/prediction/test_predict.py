@@ -1,6 +1,7 @@
 import csv
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from typer.testing import CliRunner
@@ -18,9 +19,11 @@ from geoaim.prediction.itra import ITRA
 from geoaim.prediction.networks import build_cnn
 from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
 from geoaim.prediction.predict import DRAWS, predict
+from geoaim.prediction.sureness import MAX_SPEED_SIGMA, UNKNOWN, UNSURE
 from geoaim.prediction.training import init_model
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.rendering.scene import make_scene, slice_scene
+from geoaim.tracks.agent_types import select_group
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.lights import read_lights
 from tests.prediction.tiny import TINY
@@ -243,3 +246,31 @@ def test_the_futures_that_are_given_cover_those_that_are_drawn(scene):
 
     assert expect(one) <= min(expect(drawn[[k]]) for k in range(DRAWS)) + 1e-6
     assert expect(six) < expect(drawn[:6])
+
+
+def test_whose_speed_is_unsure_is_left_out_and_named(scene, tmp_path):
+    model, start = init_model(TINY), 20
+    vehicles = select_group(scene.types, "vehicle") & scene.present[:, start].numpy()
+    one, other = np.flatnonzero(vehicles)[:2].tolist()
+    sigma = torch.full(scene.present.shape, MAX_SPEED_SIGMA)
+    sigma[one] = MAX_SPEED_SIGMA + 0.1
+    observed = scene.observed.clone()
+    observed[other] = torch.nan
+    unsure = replace(scene, observed=observed, observed_sigma=sigma)
+    futures = predict(model, unsure, samples=2, horizon=5, start=start, generator=noise())
+    names = scene.ids[one], scene.ids[other]
+    assert futures.left_out == dict(zip(names, (UNSURE, UNKNOWN), strict=True))
+    assert not futures.mark_predicted()[[one, other]].any()
+    assert futures.mark_predicted().sum() == vehicles.sum() - 2
+    assert torch.isfinite(futures.states[:, one]).all()  # in the way of others, straight on
+    assert torch.isnan(futures.states[:, other]).all()
+    write_futures(futures, tmp_path / "futures.csv")
+    text = (tmp_path / "futures.csv").read_text()
+    assert f'# left out: "{names[0]}", {UNSURE}' in text
+    assert f"1 since {UNSURE}" in futures.summarize()["left out"]
+
+
+def test_no_sure_agent_is_refused_with_the_reason(scene):
+    sigma = torch.full(scene.present.shape, 5.0)
+    with pytest.raises(TracksError, match=UNSURE.split("(")[0]):
+        predict(init_model(TINY), replace(scene, observed_sigma=sigma), start=20, generator=noise())

@@ -31,6 +31,12 @@ def test_unknown_types_are_chosen_by_size(size, kind):
     assert vote_type(["", ""], np.tile(size, (2, 1))) == kind
 
 
+@pytest.mark.parametrize("size", [(0.6, 0.5), (1.7, 0.7)])
+def test_in_coarse_pixels_what_is_small_is_a_part_of_a_car(size):
+    assert vote_type([""], np.array([size]), resolution=0.43) == "car"
+    assert vote_type(["cyclist"], np.array([size]), resolution=0.43) == "cyclist"
+
+
 def test_types_are_those_that_the_detector_gives_most():
     assert vote_type(["car", "van", "car", ""], np.ones((4, 2))) == "car"
     assert vote_type([""], np.zeros((1, 2))) == "unknown"

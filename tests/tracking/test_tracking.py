@@ -16,6 +16,7 @@ from geoaim.tracking.ground_detections import place_boxes
 from geoaim.tracking.noise import estimate_noise
 from geoaim.tracking.roofs import describe_roofs
 from geoaim.tracking.standing import Directions
+from geoaim.tracks.changes import cut_tracks
 from tests.tracking.paths import (
     ERRORS,
     RATE,
@@ -374,3 +375,27 @@ def test_turned_boxes_that_the_border_cuts_off_are_completed():
     middle = 15 + speed * times[present] - length / 2
     assert np.abs(tracks.states[0, present, 0] - middle).max() < 0.1
     assert np.abs(tracks.states[0, present, 3] - speed).max() < 0.5
+
+
+def test_observed_speeds_are_stated_with_how_surely_they_are_known(junction):
+    found = track(junction)
+    order = pair(junction, found)[:2]  # those that drive
+    known = np.isfinite(found.observed[order, :, 3])
+    assert (np.isfinite(found.observed_sigma[order]) == known).all()
+    first = found.observed_sigma[order, known.argmax(axis=1)]
+    assert (first > 1.5 * found.observed_sigma[order, -1]).all()
+    error = (found.observed[order] - junction.states[order])[..., 3][known]
+    ratio = error / found.observed_sigma[order][known]
+    assert 0.2 < np.sqrt((ratio**2).mean()) < 1.5
+
+
+def test_fragments_are_dropped_unless_the_video_is_as_short(junction):
+    def cut(frames, step):
+        empty = DetectedBoxes(np.empty((0, 4)))
+        return [frame if 20 <= n < step else empty for n, frame in enumerate(frames)]
+
+    with pytest.raises(TracksError, match=r"last under 0\.5 s"):
+        track(junction, EXACT, change=lambda frames: cut(frames, 30))
+    assert len(track(junction, EXACT, change=lambda frames: cut(frames, 40)).ids) == 4
+    short = cut_tracks(junction, 0.0, 0.4)
+    assert len(track(short, EXACT).ids) == 4

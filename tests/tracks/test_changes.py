@@ -149,13 +149,18 @@ def test_what_was_seen_and_how_certainly_is_kept():
         _straight([0.0, 0.1, 0.2, 0.3]),
         seen=np.array([[True, True, False, True]]),
         uncertainty=np.array([[[0.1, 0.2], [0.2, 0.1], [0.4, 0.3], [0.1, 0.1]]]),
+        observed_sigma=np.array([[np.nan, 3.0, 2.0, 1.0]]),
     )
     again = resample_tracks(tracks, 20)
     assert again.seen[0].tolist() == [True, True, True, False, False, False, True]
     np.testing.assert_allclose(
         again.uncertainty[0, :4], [[0.1, 0.2], [0.2, 0.2], [0.2, 0.1], [0.4, 0.3]]
     )
+    np.testing.assert_array_equal(again.observed_sigma, [[np.nan, np.nan, 3, 3, 2, 2, 1]])
     assert cut_tracks(tracks, 0.1, 0.1).seen.tolist() == [[True, False]]
+    assert cut_tracks(tracks, 0.1, 0.1).observed_sigma.tolist() == [[3.0, 2.0]]
+    assert merge_tracks([tracks, tracks]).observed_sigma.shape == (2, 4)
+    assert merge_tracks([tracks, replace(tracks, observed_sigma=None)]).observed_sigma is None
     assert to_world(tracks, World(None)).uncertainty is tracks.uncertainty
     with pytest.raises(ValueError, match=r"seen has the shape \(1, 3\); \(1, 4\) is needed"):
         replace(tracks, seen=tracks.seen[:, :3])

@@ -158,6 +158,7 @@ def test_observed_states_and_uncertainty_are_kept(tmp_path, name):
     np.testing.assert_allclose(again.observed, tracks.observed, atol=6e-4)
     np.testing.assert_array_equal(again.seen, tracks.seen)
     np.testing.assert_allclose(again.uncertainty, tracks.uncertainty, atol=6e-4)
+    np.testing.assert_allclose(again.observed_sigma, tracks.observed_sigma, atol=6e-4)
 
 
 def test_an_observed_value_that_is_no_number_is_refused(tmp_path):
@@ -184,6 +185,7 @@ def make_uncertain_tracks():
         observed,
         np.array([[True, True, False]]),
         np.full((1, 3, 2), [0.1, np.pi]),
+        np.array([[np.nan, 2.5, 0.7]]),
     )
 
 

@@ -1,19 +1,29 @@
 import json
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from shapely import MultiPolygon, box
 
 import geoaim
+from geoaim.aim.aim import AIM
 from geoaim.base.errors import TracksError
 from geoaim.base.world import World, lonlat_from_world
 from geoaim.prediction.futures import Futures
 from geoaim.prediction.pictures import write_futures
+from geoaim.rendering.scene import make_scene
+from geoaim.simulation.road_rules import NO_ROAD_RULES
+from geoaim.tracks.tracks import Tracks
 from geoaim.web.explore import Contents, make_map_view
 from geoaim.web.map_layers import describe_lines, describe_lonlat
 from geoaim.web.map_view import read_embedded
-from geoaim.web.moving_layers import describe_futures, describe_futures_file, describe_tracks
+from geoaim.web.moving_layers import (
+    describe_futures,
+    describe_futures_file,
+    describe_tracks,
+    list_infractions,
+)
 
 
 def test_the_description_names_only_what_can_be_read(view):
@@ -47,6 +57,32 @@ def test_infractions_are_marked_where_they_begin(view):
     assert marks == sorted(marks, key=lambda mark: mark["time"])
     keys = [(mark["time"], mark["agent"], mark["kind"]) for mark in marks]
     assert len(set(keys)) == len(keys) > 0
+
+
+def test_collisions_of_estimated_boxes_are_not_listed(contents):
+    states = np.tile([0.0, 0.0, 0.0, 5.0], (2, 11, 1))
+    states[:, :, 0] = 5.0 * np.arange(11) / 10 + np.array([[0.0], [1.0]])  # one in the other
+    tracks = Tracks(
+        times=np.arange(11) / 10,
+        states=states,
+        present=np.ones((2, 11), bool),
+        sizes=np.tile([4.5, 1.8], (2, 1)),
+        types=("car", "car"),
+        ids=("1", "2"),
+        world=World(None),
+    )
+    estimated = replace(tracks, uncertainty=np.full((2, 11, 2), 0.2))
+    aim = AIM.from_image(
+        np.zeros((50, 50, 3), np.uint8),
+        np.array([[1.0, 0, -10], [0, -1, 25], [0, 0, 1]]),
+        World(None),
+        "made",
+    )
+    kinds = [
+        {mark["kind"] for mark in list_infractions(make_scene(aim, one), NO_ROAD_RULES)}
+        for one in (tracks, estimated)
+    ]
+    assert kinds == [{"collision"}, set()]
 
 
 def test_longitude_and_latitude_are_fitted_to_a_millimetre():

@@ -26,7 +26,7 @@ def derive_motion(tracks: Tracks, *, half_window: float) -> Tracks:
     past = estimate_velocity(tracks, OBSERVED_WINDOW_S, 0.0)
     heading = estimate_heading(np.nan_to_num(past), causal=True)
     observed = _set_motion(tracks, heading, np.hypot(*past.T).T)
-    return replace(tracks, states=states, observed=observed)
+    return replace(tracks, states=states, observed=observed, observed_sigma=None)
 
 
 def derive_speeds(tracks: Tracks, *, half_window: float) -> Tracks:
@@ -41,7 +41,7 @@ def derive_speeds(tracks: Tracks, *, half_window: float) -> Tracks:
     states, observed = (
         _set_motion(tracks, heading, compute_signed_speed(one, heading)) for one in (velocity, past)
     )
-    return replace(tracks, states=states, observed=observed)
+    return replace(tracks, states=states, observed=observed, observed_sigma=None)
 
 
 def _set_motion(

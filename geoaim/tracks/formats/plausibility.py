@@ -56,7 +56,11 @@ class _Check:
 
 
 def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
-    """Warn of implausible sizes, speeds, headings and accelerations; raise if most are."""
+    """Warn of implausible sizes, speeds, headings and accelerations; raise if most are.
+
+    Tracks that state uncertainties are estimates of `track_video`, whose units are right: single
+    ones of them may be odd, and only nearly all are refused.
+    """
     found = []
     for check in (*_check_sizes(tracks), *_check_motion(tracks)):
         share = check.wrong.sum() / max(check.checked.sum(), 1)
@@ -69,7 +73,7 @@ def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
                 f"{Path(path)}: {text}: {100 * share:.0f} % of the {check.unit} that were checked"
             )
         found.append(text)
-    if found:
+    if found and tracks.uncertainty is None:
         warn(f"{Path(path)}: {'; '.join(found)}. They are kept as they are")
 
 

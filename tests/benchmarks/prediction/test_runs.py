@@ -24,6 +24,7 @@ from benchmarks.prediction import (
     songdo,
     stanford,
     stanford_baselines,
+    unsure_speeds,
     vehicles,
 )
 from benchmarks.prediction.places import TEST, TRAIN, make_place_scene, read_map, read_recordings
@@ -137,7 +138,7 @@ def test_aim_and_hd_map_are_compared_over_places_and_trainings(workspace, monkey
 @pytest.fixture
 def shipped(monkeypatch):
     """Tiny models in place of those that come with the package."""
-    for module in (known_views, latent_scales, robust):
+    for module in (known_views, latent_scales, robust, unsure_speeds):
         monkeypatch.setattr(module, "read_pretrained", make_tiny)
 
 
@@ -158,6 +159,15 @@ def test_bad_maps_cost_what_the_models_lose_on_them(workspace, shipped, monkeypa
     assert costs["vehicles, clean map"]["minADE"] == [0, 0, 0]
     low, high = costs["vehicles, 3 % too large"]["minADE"][1:]
     assert low <= costs["vehicles, 3 % too large"]["minADE"][0] <= high
+
+
+@pytest.mark.slow
+def test_errors_grow_with_the_uncertainty_of_speeds(workspace, shipped, monkeypatch):
+    monkeypatch.setattr(unsure_speeds, "PLACES", unsure_speeds.PLACES[:1])
+    monkeypatch.setattr(unsure_speeds, "SPEEDS", {"vehicle": ((0.0, np.inf),)})
+    monkeypatch.setattr(unsure_speeds, "MAX_SEGMENTS", 1)
+    (row,) = json.loads(unsure_speeds.run(workspace)[0].read_text())["rows"]
+    assert row["4 m/s"] > row["0 m/s"]
 
 
 @pytest.mark.slow

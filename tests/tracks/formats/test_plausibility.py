@@ -1,5 +1,6 @@
 """Tracks that cannot be what they say: warned of with counts, or refused, in every format."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,6 +91,14 @@ def test_some_absurd_agents_give_a_warning_with_their_number(problem):
     with pytest.warns(GeoaimWarning, match=rf"a\.csv: .*\b\d+ of 64 agents .*{problem}") as warned:
         check_plausibility("a.csv", change(CARS[:12], how))
     assert len(warned) == 1
+
+
+def test_estimates_are_not_advised_as_if_they_were_input():
+    tracks = change_sizes(CARS[:12], lambda sizes: 0 * sizes + [4000.0, 1000.0])
+    uncertainty = np.full((*tracks.present.shape, 2), 0.1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_plausibility("a.csv", replace(tracks, uncertainty=uncertainty))
 
 
 @pytest.mark.filterwarnings("ignore::geoaim.base.errors.GeoaimWarning")
