@@ -171,14 +171,16 @@ def make_lane_traffic(
         The cars' sprites, sizes and poses (T, N, 3) in pixels of the still.
     """
     times = np.arange(hover.count) / hover.frame_rate
-    lanes = [_smooth_lane(lane) for lane in _LANES[still]]
+    lanes = [smooth_lane(lane) for lane in _LANES[still]]
     stops = dict(_QUEUES[still])
     poses = []
     for number in stops:
         place = stops[number] * len(lanes[number])
         for rank in range(queue):
             leaving = ((times / times[-1] - 0.6) / 0.4).clip(0) ** 2
-            poses.append(_follow(lanes[number], place - 150 * rank + 4500 * leaving, loop=False))
+            poses.append(
+                follow_lane(lanes[number], place - 150 * rank + 4500 * leaving, loop=False)
+            )
     free = [lane for number, lane in enumerate(lanes) if number not in stops]
     for rank in range(moving):
         lane = free[rank % len(free)]
@@ -186,14 +188,14 @@ def make_lane_traffic(
         own = np.random.default_rng([rank % len(free), len(still)])  # one speed for each lane
         speed = own.uniform(220, 420)
         start = len(lane) * (share + own.uniform()) + generator.uniform(-15, 15)
-        poses.append(_follow(lane, start + speed * times, loop=True))
+        poses.append(follow_lane(lane, start + speed * times, loop=True))
     sprites = cut_sprites(still)
     chosen = generator.integers(0, len(sprites), len(poses))
     sizes = np.array([sprites[i].shape[1::-1] for i in chosen], float) - 4
     return SpriteTracks(tuple(sprites[i] for i in chosen), sizes, np.stack(poses, axis=1))
 
 
-def _smooth_lane(corners: list[tuple[int, int]]) -> Float[Array, "L 2"]:
+def smooth_lane(corners: list[tuple[int, int]]) -> Float[Array, "L 2"]:
     """Sample a lane every pixel of its length, corners rounded, extended by 300 px at both ends."""
     lane = np.array(corners, float)
     first, last = lane[0] - lane[1], lane[-1] - lane[-2]
@@ -209,7 +211,7 @@ def _smooth_lane(corners: list[tuple[int, int]]) -> Float[Array, "L 2"]:
     return np.stack([np.interp(steps, along, lane[:, k]) for k in (0, 1)], axis=1)
 
 
-def _follow(
+def follow_lane(
     lane: Float[Array, "L 2"], along: Float[Array, "T"], *, loop: bool
 ) -> Float[Array, "T 3"]:
     """Compute poses at distances along a lane; past its end a car starts again or is absent."""

@@ -114,8 +114,8 @@ def place_video(
         progress: called with the stage, how much is done and how much there is.
 
     Returns:
-        The map and the tracks, with what is known and what is missing. Where no vehicle is found
-        without a detector, the folder has neither tracks nor film.
+        The map and the tracks, with what is known and what is missing. Where no boxes are given and
+        no vehicle is found, the folder has neither tracks nor film.
 
     Raises:
         VideoError: the video cannot be read or has one frame only.
@@ -224,7 +224,10 @@ def _track(
 ) -> tuple[Tracks | None, str]:
     """Track the vehicles; with why there is none, unless the boxes of a detector were given."""
     try:
-        return track_video(video, aim, evidence.detections, hdmap=hdmap, progress=progress), ""
+        tracks = track_video(video, aim, evidence.detections, hdmap=hdmap, progress=progress)
+        if evidence.detections is None:
+            tracks = resample_tracks(tracks, FILM_RATE)
+        return tracks, ""
     except (TracksError, RegistrationError) as error:
         if evidence.detections is not None:
             raise

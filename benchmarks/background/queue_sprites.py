@@ -9,10 +9,12 @@ from benchmarks.data import require_data
 from benchmarks.stills import cut_car
 from geoaim.mapping import average_frames, open_video, read_detections, register
 
-WIDTH = 960  # largest width of the pictures
+WIDTH = 960  # largest width of the pictures, unless another is asked for
 
 
-def cut_place(place: str) -> tuple[UInt8[Array, "h w 3"], list[UInt8[Array, "_ _ 4"]]]:
+def cut_place(
+    place: str, width: int = WIDTH
+) -> tuple[UInt8[Array, "h w 3"], list[UInt8[Array, "_ _ 4"]]]:
     """Cut a folder of `hover` (see `paste_queue`) into its ground and its cars, RGBA heading right.
 
     The ground is a mean without the boxes of vehicles.
@@ -26,7 +28,7 @@ def cut_place(place: str) -> tuple[UInt8[Array, "h w 3"], list[UInt8[Array, "_ _
         if registration.valid[frame.index]
     ]
     ground = average_frames(pairs, size=(video.height, video.width), detections=boxes).image
-    scale = min(WIDTH / video.width, 1.0)
+    scale = min(width / video.width, 1.0)
     sprites = []
     for frame, _ in pairs[::4]:
         known = boxes(frame)

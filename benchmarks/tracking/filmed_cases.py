@@ -1,6 +1,6 @@
 """Encoded videos with their maps and true tracks: drawn places, and real stills with real cars."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +13,17 @@ from benchmarks.synthetic.place import world_from_image
 from benchmarks.synthetic.roads.layouts import PlaceKind
 from benchmarks.synthetic.sample import HOVER, MARGIN, VIDEOS, make_sample
 from benchmarks.synthetic.traffic.interpolation import interpolate_tracks
+from benchmarks.tracking.real_cars import PLACE, RESOLUTION, film_junction
 from geoaim.aim.aim import AIM
 from geoaim.base.encode import write_video
+from geoaim.base.geometry import transform_points
 from geoaim.base.progress import no_progress
 from geoaim.base.world import World
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.tracks.tracks import Tracks
 
-STILL_RESOLUTION = 0.04  # metres per pixel of the stills
+STILL_RESOLUTIONS = {"00003": 0.0525, "00972": 0.0555}  # metres per pixel; `detection.stills`
 CAR_LENGTH_M = 6.0  # a longer vehicle of the stills is no car
 
 
@@ -35,6 +37,8 @@ class FilmedCase:
     truth: Tracks
     frame_from_world: Float[Array, "T 3 3"]  # exact
     size: tuple[int, int]  # height and width of the frames, pixels
+    # where cars may stand that are drawn with the ground, and are not in the tracks
+    spots: Float[Array, "n 2"] = field(default_factory=lambda: np.empty((0, 2)))
 
 
 def film_drawn(
@@ -65,7 +69,9 @@ def film_drawn(
     model, recording = sample.traffic_model, sample.recordings[0]
     truth = interpolate_tracks(model, recording, sample.place, times=clip.times, margin=MARGIN)
     from_still = world_from_image(sample.place, sample.resolution)
-    return _encode(f"{kind} {seed}", clip, truth, from_still, folder)
+    spots = np.array([spot.place for spot in sample.place.scenery.spots]).reshape(-1, 2)
+    case = _encode(f"{kind} {seed}", clip, truth, from_still, folder)
+    return replace(case, spots=transform_points(sample.place.world_from_plan, spots))
 
 
 def film_still(still: str, kind: Kind, seed: int, folder: Path, *, count: int) -> FilmedCase:
@@ -82,7 +88,19 @@ def film_still(still: str, kind: Kind, seed: int, folder: Path, *, count: int) -
         The case.
     """
     clip = make_hover_video(still, size="1080p", count=count, kind=kind, seed=seed).clip
-    from_still = np.diag([STILL_RESOLUTION, -STILL_RESOLUTION, 1.0])
+    return _film_cars(f"{still} {kind}", clip, STILL_RESOLUTIONS[still], folder)
+
+
+def film_real_cars(condition: str, seed: int, folder: Path, *, count: int) -> FilmedCase:
+    """Film a real junction with its own cars, and build its map; see `film_junction`."""
+    clip = film_junction(condition, seed, count=count)
+    return _film_cars(f"{PLACE} {condition}", clip, RESOLUTION, folder)
+
+
+def _film_cars(name: str, clip: HoverClip, resolution: float, folder: Path) -> FilmedCase:
+    """Encode a clip of a still whose cars have no model behind them, with their true tracks."""
+    scale = np.array([resolution, -resolution])
+    from_still = np.diag([*scale, 1.0])
     poses = clip.traffic.poses.swapaxes(0, 1)
     present = np.asarray(np.isfinite(poses).all(axis=2))
     # a car that starts its lane again is another one
@@ -92,7 +110,7 @@ def film_still(still: str, kind: Kind, seed: int, folder: Path, *, count: int) -
     agents = np.array([n for n, _ in rows])
     present = np.array([present[n] & (part[n] == k) for n, k in rows])
     states = np.full((*present.shape, 4), np.nan)
-    metres = poses[agents][..., :2] * [STILL_RESOLUTION, -STILL_RESOLUTION]
+    metres = poses[agents][..., :2] * scale
     for row, known in enumerate(present):
         if known.sum() > 1:
             speed = np.hypot(*np.gradient(metres[row, known], clip.times[known], axis=0).T)
@@ -101,7 +119,7 @@ def film_still(still: str, kind: Kind, seed: int, folder: Path, *, count: int) -
             )
     present = np.asarray(np.isfinite(states).all(axis=2))
     kept = np.flatnonzero(present.any(axis=1))
-    sizes = clip.traffic.sizes[agents[kept]] * STILL_RESOLUTION
+    sizes = clip.traffic.sizes[agents[kept]] * resolution
     truth = Tracks(
         times=clip.times,
         states=states[kept],
@@ -111,7 +129,7 @@ def film_still(still: str, kind: Kind, seed: int, folder: Path, *, count: int) -
         ids=tuple(str(k) for k in kept),
         world=World(None),
     )
-    return _encode(f"{still} {kind}", clip, truth, from_still, folder)
+    return _encode(name, clip, truth, from_still, folder)
 
 
 def _encode(

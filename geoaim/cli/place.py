@@ -32,7 +32,7 @@ def place(
     """Take a video all the way: its map, its tracks, a film and a report, in one folder.
 
     Nothing else is needed: without imagery, points and telemetry the map has metres of its own, in
-    which most vehicles are as large as cars; without boxes, vehicles are found without a detector.
+    which most vehicles are as large as cars; without boxes, geoaim's own network finds vehicles.
     The report says what is known, how surely, and what is missing. Other commands take the folder
     in place of a map and its tracks, with the lights and the HD map that were given.
 

@@ -23,7 +23,7 @@ def track(
         Path | None,
         typer.Option(
             help="boxes of a detector: a folder of YOLO .txt, MOT, COCO .json, .csv; "
-            "vehicles are found without a detector if omitted"
+            "geoaim finds the vehicles if omitted"
         ),
     ] = None,
     columns: Annotated[
@@ -56,7 +56,7 @@ def track(
         typer.Option(help="of the camera above the ground, m: corrects roofs", min=10.0),
     ] = None,
 ) -> None:
-    """Track the agents of a video on its map, from a detector's boxes or without a detector.
+    """Track the agents of a video on its map, from a detector's boxes or without any.
 
     The frames are registered to the map, which takes the boxes to metres on the ground. Tracks
     bridge misses of up to ten seconds, and longer ones of what stands, and are smoothed; the states

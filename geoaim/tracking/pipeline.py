@@ -20,7 +20,7 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.tracking.association import MIN_HITS, MIN_START_SCORE, Tracklets, associate
 from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_boxes
-from geoaim.tracking.find_vehicles import finish_tracks, search_frames
+from geoaim.tracking.find_vehicles import keep_certain, search_frames
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_detections import GroundDetections, place_boxes, select_detections
 from geoaim.tracking.roofs import correct_roofs
@@ -55,15 +55,14 @@ def track_video(
         video: what `open_video` opens.
         aim: an AIM of the same ground, best one that was built of this video.
         detections: boxes of each frame, as `read_detections` reads them, or what it returns. None:
-            vehicles are found without a detector, by what differs from the AIM (`find_vehicles`),
-            which must be one of this video.
+            vehicles are found by `find_vehicles` in four frames a second.
         hdmap: lanes, which tell the headings of vehicles that do not move; None: not known.
         flying_height: as in `track_boxes`.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
 
     Returns:
-        The tracks at the times of all frames, with observed states, with whether each state was
-        seen or bridges a gap, and with uncertainties.
+        The tracks at the times of all frames, or of those that were searched, with observed states,
+        with whether each state was seen or bridges a gap, and with uncertainties.
 
     Raises:
         VideoError: the video cannot be opened.
@@ -80,12 +79,18 @@ def track_video(
     lanes = None if hdmap is None else Directions(*sample_lane_directions(hdmap))
     size = opened.height, opened.width
     times = find_image_times(opened, poses.registration.index, poses.times)
-    followed = _follow_boxes(known, poses.world_from_frame, times, size, flying_height)
-    tracks = _drop_fragments(make_states(*followed, times, aim.world, lanes))
+    matrices = poses.world_from_frame
     if detections is not None:
+        followed = _follow_boxes(known, matrices, times, size, flying_height)
+        tracks = _drop_fragments(make_states(*followed, times, aim.world, lanes))
         check_tracks(tracks)
         return tracks
-    tracks = finish_tracks(tracks)
+    searched = [step for step, boxes in enumerate(known) if boxes is not None]
+    known, matrices, times = [known[step] for step in searched], matrices[searched], times[searched]
+    placed = _place_boxes(known, matrices, size, flying_height)
+    followed = keep_certain(placed, associate(placed, times))
+    tracks = _drop_fragments(make_states(*followed, times, aim.world, lanes))
+    check_tracks(tracks)
     check_scale(tracks, aim)
     return tracks
 
@@ -191,9 +196,7 @@ def _follow_boxes(
         warn(f"{doubled} boxes lie on another one, or are a part of one, and are left out")
     if empty:
         warn(f"{empty} boxes without an area, or with values missing, are left out")
-    detections = place_boxes(frames, world_from_frame, size)
-    if flying_height is not None:
-        detections = correct_roofs(detections, world_from_frame, size, flying_height)
+    detections = _place_boxes(frames, world_from_frame, size, flying_height)
     check_sizes(detections)
     tracklets = associate(detections, times)
     kept = np.flatnonzero(tracklets.track >= 0)
@@ -207,6 +210,19 @@ def _follow_boxes(
     detections = select_detections(detections, kept)
     tracklets = replace(tracklets, track=tracklets.track[kept], sigma=tracklets.sigma[kept])
     return detections, tracklets
+
+
+def _place_boxes(
+    frames: Sequence[DetectedBoxes | None],
+    world_from_frame: Float[Array, "T 3 3"],
+    size: tuple[int, int],
+    flying_height: float | None,
+) -> GroundDetections:
+    """Place boxes on the ground, those of roofs where the camera's height is known."""
+    placed = place_boxes(frames, world_from_frame, size)
+    if flying_height is None:
+        return placed
+    return correct_roofs(placed, world_from_frame, size, flying_height)
 
 
 def _report_unused_boxes(detections: GroundDetections, track: Int[Array, "M"]) -> None:

@@ -10,7 +10,7 @@ from geoaim.tracking.standing import LINE_SIGMA_RAD
 from geoaim.tracks.tracks import Tracks
 
 WITHOUT_DETECTOR = (
-    "no detector was used: what stands all the time is in the map, and is not tracked"
+    "found by geoaim's own network; vehicles that stand all the time are in the map as well"
 )
 
 
