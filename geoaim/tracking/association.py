@@ -74,11 +74,15 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
     Returns:
         The tracks.
     """
+    # frames without any box count neither as misses nor as steps: a detector may have been given
+    # every third frame only
+    searched, ranks = np.unique(detections.step, return_inverse=True)
+    detections, times = replace(detections, step=ranks), times[searched]
     track, confirmed = np.full(len(detections.step), -1), np.empty(0, int)
     sigma = np.empty(len(track))
     outward = detections.find_outward()
     cut = detections.may_be_cut
-    usual_dt = float(times[1] - times[0]) if len(times) > 1 else 0.0
+    usual_dt = float(np.diff(times).min()) if len(times) > 1 else 0.0
     needed = MIN_SLOW_HITS if usual_dt > SLOW_DT else MIN_HITS
     max_gap = find_max_gap(usual_dt)
     bounds = np.searchsorted(detections.step, np.arange(len(times) + 1))
@@ -95,6 +99,7 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
             least_score = min(MIN_START_SCORE, float(np.median(scores))) if len(scores) else 0.0
         sigma[rows] = np.where(cut[rows], CUT_SIGMA_M, noise * detections.resolution[rows])
         new = _describe(detections, rows, sigma, outward, time)
+        active = _drop_lost(active, time - usual_dt, max_gap)
         active = _predict(active, time - float(times[max(step - 1, 0)]))
         cost = _compute_cost(active, new, noise * detections.resolution[rows])
         matched, columns = linear_sum_assignment(cost)
@@ -112,11 +117,11 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
         numbers = track[rows[born]]
         started = replace(_select(new, born), number=numbers, born=np.full(len(born), step))
         confirmed = np.concatenate([confirmed, np.full(len(born), -1)])
-        active = _drop_lost(_join(active, started), time, max_gap)
+        active = _join(active, started)
     counted = confirmed >= 0
     number = np.where(counted, np.cumsum(counted) - 1, -1)
     track = np.where(track >= 0, np.append(number, -1)[track], -1)
-    return Tracklets(track, confirmed[counted], sigma)
+    return Tracklets(track, searched[confirmed[counted]], sigma)
 
 
 def find_max_gap(usual_dt: float) -> float:

@@ -20,6 +20,7 @@ MAX_CONTAINED = 0.9  # share of a box in another one of its class: a part of it,
 MAX_OFFSET, MAX_OFFSET_PX = 0.5, 8.0
 MIN_PART = 0.25  # of the area of the other one; a smaller one may be an agent beside it
 MIN_JUDGED = 20  # boxes that tell sizes
+USUAL_TYPES = ("car", "cyclist", "motorcycle")  # of alike sizes; by other names of classes, cars
 USUAL_SIZES = (0.7, 1.8)  # of the square root of boxes' areas, over what is typical of their type
 POSSIBLE_SIZES = (0.35, 3.5)  # beyond which boxes are refused
 MIN_REFUSED = 0.1  # share of the boxes; those of a rarer type may be false ones
@@ -27,7 +28,7 @@ EXTENTS_M = (0.15, 30.0)  # of agents of unknown type
 MAX_CHECKED = 3000  # frames whose states are checked
 HELP = (
     "are the boxes of pictures of another size (--size), of another form (--form), of other "
-    "frames (--rate), or is the map's scale wrong?"
+    "frames (--rate), are classes named otherwise (--classes), or is the map's scale wrong?"
 )
 
 
@@ -122,7 +123,7 @@ def check_sizes(detections: GroundDetections) -> None:
                 if len(extent) > MIN_REFUSED * whole.sum():
                     raise TracksError(f"{text}, which cannot be: {HELP}")
                 warn(f"{text}, which cannot be; they are few, and may be false or of another type")
-            elif not USUAL_SIZES[0] < ratio < USUAL_SIZES[1] and kind == "car":
+            elif not USUAL_SIZES[0] < ratio < USUAL_SIZES[1] and kind in USUAL_TYPES:
                 warn(f"{text}, which is unusual: {HELP}")
         elif not EXTENTS_M[0] < middle.max() < EXTENTS_M[1]:
             raise TracksError(f"{text}, which cannot be: {HELP}")

@@ -1,6 +1,7 @@
 """Poses of a video's frames in the world of an AIM: registered to each other, then to the AIM."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -19,9 +20,10 @@ from geoaim.mapping.registration.frame_registration import (
     register_frame,
 )
 from geoaim.mapping.registration.register import Registration, register
-from geoaim.mapping.video.detections import Detections
+from geoaim.mapping.video.detections import DetectedBoxes, Detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video
+from geoaim.tracking.box_evidence import FRAMES, View, check_evidence, compare
 
 MIN_COVERED = 0.3  # share of the reference frame that the AIM must cover
 
@@ -53,12 +55,41 @@ def locate_frames(
     Raises:
         RegistrationError: the frames cannot be registered to each other, or not to the AIM.
     """
-    registration = register(video, detections=detections, progress=progress)
+    boxes: dict[int, DetectedBoxes | None] = {}
+
+    def read_frames() -> Iterator[Frame]:
+        for frame in video.read_all():
+            boxes[frame.index] = None if detections is None else detections(frame)
+            yield frame
+
+    recorded = replace(video, read_all=read_frames)
+    registration = register(recorded, detections=detections, progress=progress)
     frame = next(video.frames_at([registration.reference.time]))
     aim_from_reference, placement = place_reference(frame, aim, detections)
     world_from_reference = aim.world_from_image @ aim_from_reference
     matrices = world_from_reference @ registration.reference_from_frame
-    return FramePoses(matrices, registration.time, registration, placement)
+    poses = FramePoses(matrices, registration.time, registration, placement)
+    if detections is not None:
+        _check_boxes(video, aim, poses, boxes)
+    return poses
+
+
+def _check_boxes(
+    video: Video, aim: AIM, poses: FramePoses, boxes: Mapping[int, DetectedBoxes | None]
+) -> None:
+    """Warn of boxes that do not lie on what differs from the map."""
+    grey = np.asarray(cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY), np.uint8)
+    known = np.flatnonzero(np.isfinite(poses.world_from_frame).all(axis=(1, 2)))
+    rows = known[np.unique(np.linspace(0, len(known) - 1, FRAMES).round().astype(int))]
+    views = []
+    for row, frame in zip(rows, video.frames_at(poses.times[rows]), strict=False):
+        matrix = np.linalg.inv(aim.world_from_image) @ poses.world_from_frame[row]
+        view, seen = view_aim(grey, aim.coverage > 0, matrix, frame.grey.shape)
+        if seen.any():
+            views.append(View(frame.index, compare(frame.grey, view, seen), seen))
+    numbers = poses.registration.index.tolist()
+    matrices = dict(zip(numbers, poses.registration.reference_from_frame, strict=True))
+    check_evidence(views, boxes, matrices, video.listed.rate)
 
 
 def place_reference(

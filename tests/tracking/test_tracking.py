@@ -69,6 +69,18 @@ def test_agents_are_found_with_their_states(junction):
     assert [found.types[row] for row in order] == list(junction.types)
 
 
+@pytest.mark.parametrize("stride", [3, 5])
+def test_boxes_of_one_frame_in_some_give_the_same_tracks(junction, stride):
+    def thin_out(frames):
+        return [f if n % stride == 0 else None for n, f in enumerate(frames)]
+
+    found = track(junction, change=thin_out)
+    order = pair(junction, found)
+    assert sorted(order) == list(range(len(found.ids)))
+    error = found.states[order] - junction.states
+    assert np.nanmedian(np.hypot(error[..., 0], error[..., 1])) < 0.1
+
+
 def test_states_that_bridge_misses_are_marked_and_less_certain(junction):
     def leave_out(frames):
         gap = range(40, 65)  # a second

@@ -161,7 +161,13 @@ def place_times(
     chosen = chosen[usable[chosen]]
     chosen = chosen[np.unique(nearest[chosen], return_index=True)[1]]
     rows = tuple(groups.rows[number] for number in chosen)
-    count = sum(map(len, groups.rows))
+    late = sum(map(len, groups.rows[int(np.searchsorted(times, known[-1] + 2 * half)) :]))
+    if late:
+        remarks.append(
+            f"{late} boxes are of times after the video's end ({known[-1]:.1f} s), up to "
+            f"{times[-1]:.1f} s, and are left out: are they of this video?"
+        )
+    count = sum(map(len, groups.rows)) - late
     if unused := count - sum(map(len, rows)):
         remarks.append(f"{unused} of {count} boxes are left out: another time is nearer to a frame")
     numbers = nearest[chosen].astype(float)

@@ -210,7 +210,7 @@ def _refuse_outside(ends: Float[Array, "M 4"], size: tuple[int, int], source: st
             f"{size[0]} x {size[1]} pixels; they reach to {reach[0]:.0f} x {reach[1]:.0f}. "
             "Are they of pictures of another size (--size WIDTHxHEIGHT), or their four numbers of "
             "another form "
-            f"(--form {', '.join(FORMS)})?"
+            f"(--form {', '.join(FORMS)}), or x and y exchanged, as TensorFlow's are?"
         )
 
 
@@ -250,7 +250,8 @@ def judge_scores(scores: Float[Array, "M"]) -> tuple[Float[Array, "M"], str]:
         return scores / 100, "its scores are taken for percent"
     wrong = int(((known > 1) | (known < 0)).sum())
     return np.full(len(scores), np.nan), (
-        f"its scores are not used, since {wrong} of {len(known)} are not from 0 to 1"
+        f"its scores are not used, since {wrong} of {len(known)} are not from 0 to 1; if they are "
+        "angles, give turned boxes by their four corners"
     )
 
 

@@ -35,6 +35,7 @@ UNCLEAR = ("x", "x_px", "y", "y_px")  # the middle of a box, or its corner
 NUMBERS = ("score", *BOX, "x", "y", "width", "height")
 CLOCKS = ("time", "frame", "name")
 MAX_TIME_S = 1e8  # a greater time is one of day, since 1970
+ANGLES = ("angle", "angle_deg", "angle_rad", "rotation", "theta")
 FROM_FIRST = "its times are taken to count from its first box"
 UNITS = {"ms": "ms", "milliseconds": "ms", "us": "µs", "ns": "ns"}  # by the end of a name
 EXAMPLE = "--columns frame=frame,id=track,x=u_px,y=v_px,class=label"
@@ -84,10 +85,15 @@ def name_columns(
             f"{' and '.join(lacking)} is needed: say which hold what, such as {EXAMPLE}"
         )
     numbers = np.column_stack([values[key] for key in kinds[form]])
+    remarks = []
     corners = [f"{axis}{corner}" for corner in range(1, 5) for axis in "xy"]  # of ultralytics
     by_lower = {str(name).lower(): name for name in table.columns}
     if set(corners) <= by_lower.keys():
         numbers = table[[by_lower[name] for name in corners]].to_numpy(np.float64)
+    elif angles := [name for key, name in by_lower.items() if key in ANGLES and table[name].any()]:
+        remarks.append(
+            f"its {angles[0]} is not read: boxes count as upright; {' '.join(corners)} turn them"
+        )
     if form == "point":
         numbers, form = np.column_stack([numbers, np.zeros_like(numbers)]), "xywh"
     is_named = form != "xywh" or found["x"].lower() not in UNCLEAR or "x" in columns
@@ -107,7 +113,7 @@ def name_columns(
         usual_class=None,
         time_unit=unit,
         listed=tuple(dict.fromkeys(rows["name"])) if clock == "name" else (),
-        remarks=(FROM_FIRST,) if is_dated else (),
+        remarks=(*remarks, *([FROM_FIRST] if is_dated else [])),
     )
 
 

@@ -193,7 +193,10 @@ def _find_frames(
             source=source,
         )
     numbers = match_names(raw.listed, listed, source, options.first)
-    return group_by_name(rows["name"], raw.listed, numbers)
+    groups = group_by_name(rows["name"], raw.listed, numbers)
+    return place_numbers(
+        groups, rate=options.rate, first=0, usual=None, frames=listed, source=source
+    )
 
 
 def read_detections(  # noqa: PLR0913  (its options)

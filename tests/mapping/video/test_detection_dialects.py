@@ -202,6 +202,39 @@ def test_boxes_of_some_frames_belong_to_their_nearest_one(tmp_path, truth, video
     check(frames[::5], kept)
 
 
+def test_files_of_every_third_frame_numbered_on_are_said_and_read_by_their_rate(
+    tmp_path, truth, video
+):
+    for step in range(0, FRAMES, 3):
+        rows = to_xywh(truth[step])
+        lines = [f"0 {x / WIDTH} {y / HEIGHT} {w / WIDTH} {h / HEIGHT}" for x, y, w, h in rows]
+        (tmp_path / f"{step // 3:06d}.txt").write_text("\n".join(lines))
+    _, said = read(tmp_path, video)
+    assert "give their --rate" in said
+    frames, said = read(tmp_path, video, rate=RATE / 3)
+    assert said == ""
+    known = [step for step, boxes in enumerate(frames) if boxes is not None]
+    assert known == list(range(0, FRAMES, 3))
+    np.testing.assert_allclose(frames[27].boxes, truth[27], atol=0.1)
+
+
+def test_boxes_after_the_end_of_the_video_are_said(tmp_path, truth, video):
+    rows = number(truth + truth)
+    table = pd.DataFrame(rows, columns=["time", "id", "left", "top", "right", "bottom"])
+    table["time"] /= RATE
+    table.to_csv(tmp_path / "boxes.csv", index=False)
+    _, said = read(tmp_path / "boxes.csv", video)
+    assert "after the video's end (2.9 s), up to 5.9 s" in said
+
+
+def test_a_column_of_angles_is_said(tmp_path, truth, video):
+    rows = number(truth)
+    table = pd.DataFrame(rows, columns=["frame", "id", "left", "top", "right", "bottom"])
+    table.assign(angle=20.0).to_csv(tmp_path / "boxes.csv", index=False)
+    _, said = read(tmp_path / "boxes.csv", video)
+    assert "its angle is not read" in said
+
+
 def test_boxes_of_some_frames_without_a_rate_are_said(tmp_path, truth, video):
     path = write_csv(tmp_path / "a.csv", truth[::5], "x1,y1,x2,y2")
     _, said = read(path, video)

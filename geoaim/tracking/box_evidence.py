@@ -1,0 +1,206 @@
+"""Whether boxes lie on what a video shows: on what differs from the map, where agents were."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+from numpy import ndarray as Array
+
+from geoaim.base.errors import warn
+from geoaim.base.geometry import transform_points
+from geoaim.mapping.video.detections import DetectedBoxes
+
+FRAMES = 12  # spread over the video, in which boxes are compared with the picture
+MIN_BOXES = 20  # of agents that moved on; fewer tell nothing
+CLEAR = 8.0  # times the median difference from the map: that of an agent
+INNER = 0.7  # of a box's sides, inside of which its agent is
+# of what boxes lack, by which another reading must be better, and least evidence of the boxes as
+# they are given: 0.93 of right boxes of the sample video, 0.67 of those five frames late, 0.12 of
+# those of a letterbox, and under 0.07 of others; other readings of right boxes lack 1.0 or more
+BETTER, LEAST = 0.5, 0.15
+STRIDES = (2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30)
+
+Bounds = Float[Array, "_ 4"]  # left, top, right, bottom; pixels
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A frame, and where it differs from the map as it sees it."""
+
+    index: int  # of the frame
+    differs: Float[Array, "H W"]  # 0 to 1
+    known: Bool[Array, "H W"]  # which pixels the map covers
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Integrals of a view."""
+
+    index: int
+    differs: Float[Array, "h w"]
+    known: Float[Array, "h w"]
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """Another reading of boxes: what it says, and the boxes of a frame by it."""
+
+    text: str
+    read: Callable[[int], Bounds | None]
+
+
+def compare(frame: Shaped[Array, "H W"], view: Shaped[Array, "H W"], known: Array) -> Array:
+    """Compare a grey frame with the map as it sees it: 0 where they are alike, 1 where they differ.
+
+    The map is brought to the contrast and brightness of the frame.
+    """
+    one, other = (cv2.GaussianBlur(part.astype(np.float32), (0, 0), 1.0) for part in (frame, view))
+    gain = one[known].std() / max(float(other[known].std()), 1e-6)
+    difference = np.abs(one - one[known].mean() - gain * (other - other[known].mean())) * known
+    return np.asarray(np.minimum(difference / (CLEAR * max(np.median(difference[known]), 0.5)), 1))
+
+
+def check_evidence(
+    views: Sequence[View],
+    boxes: Mapping[int, DetectedBoxes | None],
+    reference_from_frame: Mapping[int, Float[Array, "3 3"]],
+    rate: float,
+) -> None:
+    """Warn where boxes do not lie on what differs from the map, or would do so read otherwise.
+
+    Only boxes of agents that moved on count: who stands all the time may be in the map.
+
+    Args:
+        views: some frames.
+        boxes: of all frames, by their numbers.
+        reference_from_frame: transforms of pixels to those of one frame; NaN where not known.
+        rate: frames per second.
+    """
+    if not views:
+        return
+    sums = [
+        _Sums(view.index, cv2.integral(view.differs), cv2.integral(view.known.astype(np.float64)))
+        for view in views
+    ]
+    usual = float(np.mean([view.differs[view.known].mean() for view in views]))
+    moving = _find_moving(boxes, reference_from_frame)
+    size = views[0].differs.shape[1], views[0].differs.shape[0]
+    given, count = _weigh(sums, moving.get, usual)
+    if count < MIN_BOXES:
+        return
+    best, text = given, ""
+    for reading in _list_readings(moving, size, reference_from_frame, rate):
+        value, number = _weigh(sums, reading.read, usual)
+        if number >= max(MIN_BOXES, count / 2) and value > best:
+            best, text = value, reading.text
+    found = f"of boxes that move {max(given, 0):.0%} differs from the map"
+    if 1 - best < BETTER * (1 - given) and best > 2 * LEAST:
+        warn(f"{found}; it would be {best:.0%} {text}")
+    elif given < LEAST:
+        warn(f"{found}; most of it is needed: are they of this video, and of these frames?")
+
+
+def _find_moving(
+    boxes: Mapping[int, DetectedBoxes | None], reference_from_frame: Mapping[int, Array]
+) -> dict[int, Bounds]:
+    """Find the boxes of each frame at whose place there is none at some other time."""
+    ends = {n: np.asarray(own.boxes, float) for n, own in boxes.items() if own is not None}
+    places = {
+        n: transform_points(reference_from_frame[n], (own[:, :2] + own[:, 2:]) / 2)
+        for n, own in ends.items()
+        if n in reference_from_frame
+    }
+    times = [n for n in list(places)[:: max(len(places) // FRAMES, 1)] if len(places[n])]
+    moving = {}
+    for n, own in places.items():
+        reach = (ends[n][:, 2:] - ends[n][:, :2]).max(axis=1, initial=0) / 2
+        left = np.zeros(len(own), bool)
+        for other in times:
+            left |= np.hypot(*(own[:, None] - places[other]).transpose(2, 0, 1)).min(1) > reach
+        moving[n] = ends[n][left]
+    return moving
+
+
+def _weigh(
+    sums: Sequence[_Sums], read: Callable[[int], Bounds | None], usual: float
+) -> tuple[float, int]:
+    """Weigh how much of the boxes differs from the map, less what does so anywhere; and count."""
+    shares = []
+    for view in sums:
+        own = read(view.index)
+        if own is None or not len(own):
+            continue
+        middle, half = (own[:, :2] + own[:, 2:]) / 2, INNER * (own[:, 2:] - own[:, :2]) / 2
+        limits = np.array(view.known.shape[::-1] * 2) - 1
+        ends = np.concatenate([middle - half, middle + half], axis=1)
+        ends = ends.round().clip(0, limits).astype(int)
+        area = _add_up(view.known, ends)
+        seen = area > 2 * half.prod(axis=1)  # half of the box is on the map
+        shares += (_add_up(view.differs, ends)[seen] / np.maximum(area[seen], 1)).tolist()
+    mean = float(np.mean(shares)) if shares else 0.0
+    return (mean - usual) / (1 - usual), len(shares)
+
+
+def _add_up(integral: Float[Array, "h w"], ends: Int[Array, "n 4"]) -> Float[Array, " n"]:
+    left, top, right, bottom = ends.T
+    upper, lower = (integral[row, right] - integral[row, left] for row in (top, bottom))
+    return np.asarray(lower - upper)
+
+
+def _list_readings(
+    boxes: Mapping[int, Bounds],
+    size: tuple[int, int],
+    reference_from_frame: Mapping[int, Array],
+    rate: float,
+) -> Iterator[_Reading]:
+    """List what boxes may be instead of what they are taken for."""
+    for text, function in _list_slips(size):
+        yield _Reading(text, partial(_change, boxes, function))
+    moved: dict[int, Bounds] = {}
+    for n, own in boxes.items():
+        if np.isfinite(reference_from_frame[n]).all():
+            back = np.linalg.inv(reference_from_frame[n])
+            moved[n] = np.asarray(transform_points(back, own.reshape(-1, 2)).reshape(-1, 4))
+    yield _Reading("if they are of a stabilised video: detect vehicles in this one", moved.get)
+    for stride in STRIDES:
+        text = f"if one in {stride} frames has boxes, numbered on: --rate {rate / stride:.4g}"
+        yield _Reading(f"{text} says so", partial(_take, boxes, stride, 0))
+    for lag in range(1, max(boxes, default=0)):
+        text = f"{lag} frames earlier: do they count from {lag} (--first {lag})?"
+        yield _Reading(text, partial(_take, boxes, 1, lag))
+        text = f"{lag} frames later: are they of a part of the video that begins there?"
+        yield _Reading(text, partial(_take, boxes, 1, -lag))
+
+
+def _take(boxes: Mapping[int, Bounds], stride: int, lag: int, index: int) -> Bounds | None:
+    return boxes.get(index // stride + lag)
+
+
+def _change(
+    boxes: Mapping[int, Bounds], function: Callable[[Bounds], Bounds], index: int
+) -> Bounds | None:
+    return function(boxes[index]) if index in boxes else None
+
+
+def _list_slips(size: tuple[int, int]) -> Iterator[tuple[str, Callable[[Bounds], Bounds]]]:
+    """List what becomes of boxes in a frame where their numbers mean something else."""
+    width, height = size
+    whole, order = np.array(size * 2), [1, 0, 3, 2]
+
+    def turn_over(own: Bounds, axis: int) -> Bounds:
+        turned, sides = own.copy(), [axis, axis + 2]
+        turned[:, sides] = whole[axis] - own[:, sides[::-1]]
+        return turned
+
+    yield "if y counts from the bottom: turn them over", partial(turn_over, axis=1)
+    yield "if x counts from the right: turn them over", partial(turn_over, axis=0)
+    text = "with x and y exchanged, as in TensorFlow's ymin, xmin, ymax, xmax: exchange them"
+    yield text, lambda own: own[:, order]  # of pixels, and of shares
+    yield text, lambda own: own[:, order] * whole / whole[order]
+    yield (
+        "as shares of a square to which frames were padded: give boxes of the frames",
+        lambda own: (own - whole / 2) * max(width, height) / whole + whole / 2,
+    )

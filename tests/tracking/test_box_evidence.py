@@ -1,0 +1,96 @@
+"""Boxes against the picture: a slip of boxes is named by what they would lie on."""
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+
+from geoaim.mapping.video.detections import DetectedBoxes
+from geoaim.tracking.box_evidence import View, check_evidence, compare
+
+HEIGHT, WIDTH, FRAMES, RATE = 180, 320, 240, 25.0
+AGENTS = 9
+
+
+def find_ends(step):
+    """Left, top, right, bottom of agents that drive to the right and one that stands."""
+    row = np.arange(AGENTS)
+    x = 20 + (0.7 + 0.2 * row) * step * (row < AGENTS - 1) + 11 * row
+    y = 12 + 12.0 * row
+    return np.column_stack([x - 9, y - 4, x + 9, y + 4])[x < WIDTH - 12]
+
+
+def drift(step):
+    """The transform from a frame to the reference."""
+    return np.array([[1, 0, 0.2 * step], [0, 1, -0.1 * step], [0, 0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def views():
+    found = []
+    for step in range(5, FRAMES, 20):
+        differs = np.zeros((HEIGHT, WIDTH))
+        for left, top, right, bottom in find_ends(step)[:-1].round().astype(int):
+            differs[top:bottom, left:right] = 1
+        found.append(View(step, differs, np.ones((HEIGHT, WIDTH), bool)))
+    return found
+
+
+def check(views, read):
+    boxes = {step: DetectedBoxes(own) for step in range(FRAMES) if (own := read(step)) is not None}
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        check_evidence(views, boxes, {step: drift(step) for step in range(FRAMES)}, RATE)
+    return " ".join(str(one.message) for one in said)
+
+
+def pad(own):
+    return own * [1, 0.5625, 1, 0.5625] + np.array([0, 0.21875 * HEIGHT] * 2)
+
+
+def turn_over(own):
+    return np.c_[own[:, 0], HEIGHT - own[:, 3], own[:, 2], HEIGHT - own[:, 1]]
+
+
+def stabilise(step):
+    return find_ends(step) + np.tile(drift(step)[:2, 2], 2)
+
+
+@pytest.mark.parametrize(
+    ("read", "expected"),
+    [
+        (find_ends, ""),
+        (lambda step: find_ends(step) if step % 5 == 0 else None, ""),
+        (lambda step: find_ends(step)[:, [1, 0, 3, 2]], "x and y exchanged"),
+        (lambda step: turn_over(find_ends(step)), "y counts from the bottom"),
+        (lambda step: WIDTH - find_ends(step)[:, [2, 1, 0, 3]] * [1, -1, 1, -1] - [0, WIDTH] * 2,
+         "x counts from the right"),
+        (lambda step: pad(find_ends(step)), "a square to which frames were padded"),
+        (stabilise, "stabilised"),
+        (lambda step: find_ends(step - 12) if step >= 12 else None, "1[123] frames earlier"),
+        (lambda step: find_ends(step + 60) if step < FRAMES - 60 else None, "(59|6.) frames later"),
+        (lambda step: find_ends(3 * step) if step < FRAMES / 3 else None, "--rate 8.333"),
+        (lambda step: find_ends(step * 7 % 97) * [1, 0.3, 1, 0.3] + [0, 120, 0, 120],
+         "are they of this video"),
+        (lambda step: np.empty((0, 4)), ""),
+    ],
+)  # fmt: skip
+def test_a_slip_of_boxes_is_named_and_right_ones_are_left_alone(views, read, expected):
+    said = check(views, read)
+    assert re.search(expected, said)
+    assert bool(said) == bool(expected)
+
+
+def test_what_stands_all_the_time_tells_nothing(views):
+    standing = find_ends(0) + np.array([0, 60, 0, 60])
+    assert check(views, lambda step: standing - np.tile(drift(step)[:2, 2], 2)) == ""
+
+
+def test_a_map_of_other_brightness_and_contrast_is_compared():
+    ground = np.random.default_rng(0).integers(60, 120, (HEIGHT, WIDTH)).astype(np.uint8)
+    frame = np.asarray(1.3 * ground + 20, np.uint8)
+    frame[50:60, 100:120] = 250
+    differs = compare(frame, ground, np.ones(frame.shape, bool))
+    assert differs[52:58, 103:117].min() == 1
+    assert differs[:40].mean() < 0.2
