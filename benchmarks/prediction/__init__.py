@@ -2,6 +2,7 @@
 
 from benchmarks.prediction import (
     aim_or_hdmap,
+    controllers,
     known_views,
     latent_scales,
     observed_states,
@@ -12,6 +13,7 @@ from benchmarks.prediction import (
     robust,
     sind,
     songdo,
+    speed,
     standing,
     stanford,
     stanford_baselines,
@@ -28,6 +30,8 @@ EXPERIMENTS = {
     "vehicles": vehicles.run,
     "reaction": reaction.run,
     "reaction_validation": reaction.compare,
+    "controllers": controllers.run,
+    "speed": speed.run,
     "steering": steering.run,
     "standing": standing.run,
     "robust": robust.run,

@@ -14,6 +14,7 @@ from typing import Any
 import pandas as pd
 from matplotlib.figure import Figure
 
+from benchmarks.prediction.averages import bootstrap_trainings
 from benchmarks.prediction.models import name_training, train_once
 from benchmarks.prediction.places import CAMPUS, ROADS, Places, make_places
 from benchmarks.prediction.pretrained import VAL
@@ -25,7 +26,7 @@ from geoaim.prediction.baselines import Predictor, replay
 from geoaim.prediction.config import configure_training
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.metrics import Metric, bootstrap_trainings, concat, keep_rates
+from geoaim.prediction.metrics import Metric, concat, keep_rates
 from geoaim.prediction.training import init_model
 
 TRAIN: Places = (*ROADS, *CAMPUS)

@@ -1,12 +1,10 @@
 """Training in closed loop: a vehicle goes on from where the model itself has brought it.
 
-The last two stages of the shipped vehicle model. All vehicles of a place are driven for
+The last stage of the shipped vehicle model. All vehicles of a place are driven for
 `CHUNKS * CHUNK_STEPS` steps by latents of the prior, as when they are sampled, from starts that are
-disturbed. First they learn to come back to their recorded path and pace, with the rules of braking:
-who is late for having yielded is not to make up for it. Then, without the rules, a small network
-learns to keep to the speeds from which one can stop: in the same traffic, and where somebody or a
-red light is put on a vehicle's path. Gradients pass through the kinematics over `CHUNK_STEPS`.
-Views are encoded as before: the network that sees is kept.
+disturbed. They learn to come back to their recorded path and pace, with the rules outside the
+network: who is late for having yielded is not to make up for it. Gradients pass through the
+kinematics over `CHUNK_STEPS`. Views are encoded as before: the network that sees is kept.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -20,13 +18,6 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from benchmarks.prediction.places import Places, make_drawn_scene
-from benchmarks.prediction.reaction import (
-    LEADER_SIZE_M,
-    Crossing,
-    Situation,
-    find_followers,
-    put_in,
-)
 from geoaim.base.progress import Progress
 from geoaim.prediction.checkpoints import read_model, write_model
 from geoaim.prediction.config import MAX_HISTORY_STEPS, Config
@@ -34,7 +25,7 @@ from geoaim.prediction.cutting import cut_scene
 from geoaim.prediction.dataset import cut_moving_and_parked
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.rollouts import Rollout
-from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments, pick, repeat
+from geoaim.prediction.segments import Segments, pick, repeat
 from geoaim.rendering.ground import Ground
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.rendering.scene import Scene, slice_scene
@@ -48,7 +39,6 @@ CLOSED_LOOP: Places = (
     *((865, "roundabout"), (866, "roundabout")),
 )
 STEPS, LEARNING_RATE, WARMUP_STEPS = 1800, 5e-4, 20
-REACTION_STEPS, REACTION_RATE = 500, 3e-3
 HISTORY, CHUNK_STEPS, CHUNKS, SAMPLES = MAX_HISTORY_STEPS, 40, 4, 2
 SEGMENT_STEPS, SEGMENTS = 50, 12  # of the bound, which is trained beside it
 BOUND_WEIGHT, KL_WEIGHT, MAX_NLL = 1.0, 3.0, 50.0
@@ -60,7 +50,6 @@ ASIDE_M, TURNED_RAD, SPEED_SHARE = 0.5, 0.06, 0.12
 ASIDE_SCALE_M, HEADING_SCALE_RAD, SPEED_SCALE_MPS, WAITING_SCALE_MPS = 0.3, 0.1, 0.7, 0.2
 # who waits is recorded below this speed from so many steps before to so many after
 WAITING_MPS, WAITED_STEPS, WAITING_STEPS = 0.3, 10, 30
-OVER_SCALE_MPS = 0.7  # m/s above the speed from which one can stop that count as one
 CATCH_UP_S, MAX_CATCH_UP_MPS = 4.0, 3.0  # how pace makes up for a lag
 FAR_M, LATE_M = 8.0, 25.0  # who is farther from its path, or from where it should be, is lost
 BEYOND_M = 4.0  # past an end of its path; farther on there is nothing to come back to
@@ -72,7 +61,6 @@ class _Place:
     scene: Scene
     ground: Ground
     segments: Segments
-    followers: Segments
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,15 +93,14 @@ def make_closed_loop(model: ITRA, folder: Path, progress: Progress, seed: int = 
             scene, _ = make_drawn_scene(kind, place)
             segments = cut_moving_and_parked(scene, model.config, SEGMENT_STEPS)
             ground = prefilter_ground(scene.ground, model.config.resolution)
-            places.append(_Place(scene, ground, segments, find_followers(scene)))
+            places.append(_Place(scene, ground, segments))
         folder.mkdir(parents=True, exist_ok=True)
-        trained = _train(model, places, progress, seed)
-        write_model(_train_reaction(trained, places, progress, seed), path)
+        write_model(_train(model, places, progress, seed), path)
     return read_model(path)
 
 
 def _train(model: ITRA, places: Sequence[_Place], progress: Progress, seed: int) -> ITRA:
-    """Train all but the network that sees, with the rules of braking."""
+    """Train all but the network that sees, with the rules outside it."""
     trained = _copy(model, replace(model.config, brakes=True))
     trained.encoder.requires_grad_(False)
     generator = torch.Generator().manual_seed(seed)
@@ -130,25 +117,9 @@ def _train(model: ITRA, places: Sequence[_Place], progress: Progress, seed: int)
     return trained
 
 
-def _train_reaction(model: ITRA, places: Sequence[_Place], progress: Progress, seed: int) -> ITRA:
-    """Train the network that reacts, without the rules of braking; all others are kept."""
-    trained = _copy(model, replace(model.config, reacts=True, brakes=False))
-    generator = torch.Generator().manual_seed(seed)
-    rollouts, met = _roll_out(trained, places, generator), _meet(trained, places, generator)
-    trained.requires_grad_(False).reaction.requires_grad_(True)
-
-    def compute_loss() -> Float[Tensor, ""]:
-        return next(rollouts)[1] + next(met)
-
-    report = partial(progress, "reaction")
-    _optimise(trained, compute_loss, REACTION_RATE, REACTION_STEPS, report)
-    trained.config = replace(trained.config, brakes=True)
-    return trained
-
-
 def _copy(model: ITRA, config: Config) -> "_Blind":
     copy = _Blind(config)
-    copy.load_state_dict(model.state_dict(), strict=config.reacts == model.config.reacts)
+    copy.load_state_dict(model.state_dict())
     copy.known_views = model.known_views
     return copy
 
@@ -198,43 +169,12 @@ def _roll_out(
         )
         paths = _find_paths(segment, rollout)
         for _ in range(CHUNKS):
-            rollout, errors, number = _drive(model, rollout, paths, CHUNK_STEPS, generator)
+            rollout, errors, number = _drive(model, rollout, paths, generator)
             means = (errors / number.clamp_min(1)).view(SAMPLES, -1)
             there = (number > 0).view(SAMPLES, -1)[0].float()
             mixed = BEST_WEIGHT * means.amin(dim=0) + (1 - BEST_WEIGHT) * means.mean(dim=0)
             yield place, (mixed * there).sum() / there.sum().clamp_min(1)
             rollout = _detach(rollout)
-
-
-def _meet(
-    model: ITRA, places: Sequence[_Place], generator: torch.Generator
-) -> Iterator[Float[Tensor, ""]]:
-    """Drive vehicles towards others or a red light on their paths; gives the loss of each."""
-    places = [place for place in places if len(place.followers)]
-    while True:
-        place = places[int(torch.randint(len(places), (), generator=generator))]
-        segment = put_in(place.followers, _draw_situation(generator))
-        rollout = model.start(segment, place.ground, history=HISTORY)
-        paths = _find_paths(segment, rollout)
-        _, errors, number = _drive(model, rollout, paths, segment.steps - HISTORY, generator)
-        yield errors.sum() / number.sum().clamp_min(1)
-
-
-def _draw_situation(generator: torch.Generator) -> Situation | Crossing | None:
-    """Draw who is met: a leader that brakes, stands or cuts in; who crosses; a red light."""
-    kind = int(torch.randint(6, (), generator=generator))
-    first, second, third = torch.rand(3, generator=generator).tolist()
-    if kind == 0:
-        return Situation(0.8 + 2.2 * first, 0.6 + 0.5 * second, braking=1 + 7 * third)
-    if kind == 1:
-        return Situation(1.5 + 3 * first, speed=0.0)
-    if kind == 2:
-        return Situation(0.6 + first, 0.5 + 0.4 * second, aside=3.2 if third < 0.5 else -3.2)
-    if kind == 3:
-        return Crossing(3 + 7 * first, LEADER_SIZE_M, VEHICLE)
-    if kind == 4:
-        return Crossing(0.8 + first, (0.5, 0.6), PEDESTRIAN)
-    return None
 
 
 def _disturb(segment: Segments, generator: torch.Generator) -> Segments:
@@ -264,25 +204,20 @@ def _find_paths(segment: Segments, rollout: Rollout) -> _Paths:
 
 
 def _drive(
-    model: ITRA, rollout: Rollout, paths: _Paths, steps: int, generator: torch.Generator
+    model: ITRA, rollout: Rollout, paths: _Paths, generator: torch.Generator
 ) -> tuple[Rollout, Float[Tensor, "E"], Int[Tensor, "E"]]:
     """Drive on by latents of the prior; also gives errors, summed, and how many steps counted."""
     errors, counts = [], []
-    for _ in range(steps):
+    for _ in range(CHUNK_STEPS):
         rollout = model.step(rollout, model.draw_latent(rollout, generator))
-        error, counted = _compare(rollout, paths, reacts=model.config.reacts)
+        error, counted = _compare(rollout, paths)
         errors.append(error)
         counts.append(counted)
     return rollout, torch.stack(errors).sum(dim=0), torch.stack(counts).sum(dim=0)
 
 
-def _compare(
-    rollout: Rollout, paths: _Paths, *, reacts: bool
-) -> tuple[Float[Tensor, "E"], Bool[Tensor, "E"]]:
-    """How far agents are from their paths and paces; and who counts: who is there and not lost.
-
-    Where a model is to react, nobody's pace is above the speed from which it can stop.
-    """
+def _compare(rollout: Rollout, paths: _Paths) -> tuple[Float[Tensor, "E"], Bool[Tensor, "E"]]:
+    """How far agents are from their paths and paces; and who counts: who is there and not lost."""
     pose, step = rollout.pose, rollout.index
     away = (pose[:, None, :2].detach() - paths.states[..., :2]).norm(dim=2)
     nearest = away.masked_fill(~paths.present, torch.inf).argmin(dim=1)
@@ -297,12 +232,7 @@ def _compare(
     beside = along.detach().abs() < BEYOND_M
     error = beside * (_huber(aside / ASIDE_SCALE_M) + _huber(turned / HEADING_SCALE_RAD))
     scale = torch.where(paths.waits[:, step], WAITING_SCALE_MPS, SPEED_SCALE_MPS)
-    over = torch.zeros_like(pace)
-    if reacts and rollout.safe_speeds is not None:
-        safe = rollout.safe_speeds.amin(dim=1).detach()
-        over = _huber((pose[:, 3] - safe).clamp_min(0) / OVER_SCALE_MPS) * paths.present[:, step]
-        pace = torch.minimum(pace, safe)
-    return (error + _huber((pose[:, 3] - pace) / scale)) * counted + over, counted
+    return (error + _huber((pose[:, 3] - pace) / scale)) * counted, counted
 
 
 def _huber(error: Tensor) -> Tensor:

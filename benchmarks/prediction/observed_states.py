@@ -15,6 +15,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from benchmarks.prediction import songdo
+from benchmarks.prediction.averages import merge_segments
 from benchmarks.prediction.protocol import PEDESTRIANS, VEHICLES, evaluate_scene
 from benchmarks.prediction.real_places import STANFORD_VAL, RealRecording, read_stanford
 from benchmarks.prediction.results import Metrics, Workspace, write_results
@@ -23,7 +24,7 @@ from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.evaluation import EvalConfig, evaluate
-from geoaim.prediction.metrics import Metric, concat, merge_segments
+from geoaim.prediction.metrics import Metric, concat
 from geoaim.rendering.scene import Scene
 from geoaim.tracks.formats.motion import estimate_velocity
 from geoaim.tracks.tracks import Tracks, estimate_heading

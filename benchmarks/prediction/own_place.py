@@ -14,6 +14,7 @@ from pathlib import Path
 
 import torch
 
+from benchmarks.prediction.averages import average_seeds
 from benchmarks.prediction.places import make_drawn_scene
 from benchmarks.prediction.real_places import KARLSRUHE, read_karlsruhe
 from benchmarks.prediction.results import Metrics, Workspace, compute_differences, write_results
@@ -27,7 +28,6 @@ from geoaim.prediction.config import MAX_HISTORY_STEPS, configure_fine_tuning
 from geoaim.prediction.dataset import Dataset, cut_beginnings, hold_out_agents, make_dataset
 from geoaim.prediction.evaluation import RECORDING, EvalConfig, judge
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.metrics import average_seeds
 from geoaim.prediction.predict import DRAWS, choose_covering
 from geoaim.prediction.segments import Segments
 from geoaim.prediction.training import learn_place, train

@@ -26,6 +26,7 @@ from geoaim.base.files import atomic_files
 from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.checkpoints import read_model, read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS
+from geoaim.prediction.controllers import follow
 from geoaim.prediction.cutting import cut_scene, cut_segments
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import compute_ade
@@ -106,7 +107,7 @@ def run(workspace: Workspace) -> list[Path]:
         The files.
     """
     alone = read_pretrained("vehicle")
-    alone.config = replace(alone.config, brakes=False)
+    alone.controllers = [follow]
     models = {ALONE: alone, "with rules": read_pretrained("vehicle")}
     places = {"sample": SAMPLE, **_set_roundabouts_apart("test", TEST)}
     parts = measure_places(models, places, workspace)
@@ -135,7 +136,7 @@ def write_rows(name: str, parts: Mapping[str, Sequence[Row]], workspace: Workspa
     paths = [workspace.results / f"{name}{suffix}" for suffix in (".json", ".md")]
     with atomic_files(*paths) as written:
         write_json({"command": command, "machine": describe_machine(), **parts}, written[0])
-        tables = [f"{title}\n\n{_format(rows)}" for title, rows in parts.items()]
+        tables = [f"{title}\n\n{format_rows(rows)}" for title, rows in parts.items()]
         written[1].write_text("\n".join([f"`{command}`\n", *tables]), encoding="utf-8")
     return paths
 
@@ -271,15 +272,15 @@ def measure_leaders(
     rows = []
     for driver in (*models, "IDM"):
         model = models.get(driver)
-        free = [_drive(model, *case) for case in cases]
+        free = [drive_followers(model, *case) for case in cases]
         for title in (FREE, *SITUATIONS):
             parts = []
             for (followers, ground), alone in zip(cases, free, strict=True):
                 if title == FREE:
-                    parts.append(_compare(FREE, alone, alone, followers))
+                    parts.append(compare_led(FREE, alone, alone, followers))
                     continue
                 led = put_in(followers, SITUATIONS[title])
-                parts.append(_compare(title, _drive(model, led, ground), alone, led))
+                parts.append(compare_led(title, drive_followers(model, led, ground), alone, led))
             values = {key: torch.cat([part[key].flatten() for part in parts]) for key in parts[0]}
             means = {key: round(float(value.float().nanmean()), 3) for key, value in values.items()}
             recorded = float(torch.cat([f.states[:, 0, -1, 3] for f, _ in cases]).mean())
@@ -288,7 +289,9 @@ def measure_leaders(
     return rows
 
 
-def _drive(model: ITRA | None, segments: Segments, ground: Ground) -> Float[Tensor, "B K N T 4"]:
+def drive_followers(
+    model: ITRA | None, segments: Segments, ground: Ground
+) -> Float[Tensor, "B K N T 4"]:
     """Drive the followers by a model or, on their recorded paths, as intelligent drivers."""
     if model is not None:
         generator = torch.Generator().manual_seed(0)
@@ -319,7 +322,7 @@ def _detect_running(states: Float[Tensor, "B K T 4"], segments: Segments) -> Boo
     return torch.stack(runs).any(dim=0).view(-1, futures)
 
 
-def _compare(
+def compare_led(
     led: str,
     states: Float[Tensor, "B K n T 4"],
     free: Float[Tensor, "B K m T 4"],
@@ -372,7 +375,7 @@ def measure_closed_loop(
         driven = {}
         for name, model in models.items():
             poses = torch.full((len(scene.ids), length, 4), torch.nan)
-            poses[index] = _drive_all(model, segment, ground, start)
+            poses[index] = drive_all(model, segment, ground, start)
             driven[name] = apply_rollout(piece, poses, 0), controlled
         idm = simulate_scene(
             scene,
@@ -382,7 +385,7 @@ def measure_closed_loop(
         )
         driven |= {"IDM": (idm.scene, idm.controlled), "recording": (piece, controlled)}
         for name, (one, some) in driven.items():
-            found.append({"driver": name, **_count(one, some, rules)})
+            found.append({"driver": name, **count_infractions(one, some, rules)})
     predictors = {name: model.sample for name, model in models.items()}
     for driver, predict in {**predictors, NOISY: BASELINES[NOISY]}.items():
         errors = {
@@ -393,7 +396,8 @@ def measure_closed_loop(
     return found
 
 
-def _drive_all(model: ITRA, segment: Segments, ground: Ground, seed: int) -> Float[Tensor, "N T 4"]:
+def drive_all(model: ITRA, segment: Segments, ground: Ground, seed: int) -> Float[Tensor, "N T 4"]:
+    """Drive all vehicles of a segment in closed loop, by latents of the prior."""
     generator = torch.Generator().manual_seed(seed)
     policy = ITRAPolicy(model, segment, ground, history=HISTORY, generator=generator)
     with torch.no_grad():
@@ -413,7 +417,7 @@ def _measure_errors(
     return float(errors.sum()), len(errors)
 
 
-def _count(scene: Scene, agents: Bool[Tensor, "A"], rules: RoadRules) -> dict[str, Any]:
+def count_infractions(scene: Scene, agents: Bool[Tensor, "A"], rules: RoadRules) -> dict[str, Any]:
     """Count agents that ever collide, infractions, the steps that are judged, and metres."""
     found = detect_infractions(scene, agents, rules, first=HISTORY)
     wrong, _ = found["collision"]
@@ -451,7 +455,8 @@ def _take(values: Tensor, columns: Tensor) -> Tensor:
     return values[torch.arange(len(values))[:, None], columns]
 
 
-def _format(rows: Sequence[Row]) -> str:
+def format_rows(rows: Sequence[Row]) -> str:
+    """Format rows as a table in Markdown."""
     names = list(dict.fromkeys(name for row in rows for name in row))
     lines = [f"| {' | '.join(names)} |", f"|{' --- |' * len(names)}"]
     lines += [f"| {' | '.join(str(row.get(name, '')) for name in names)} |" for row in rows]

@@ -13,6 +13,7 @@ from typing import Any
 
 from benchmarks.data import read_image, require_data
 from benchmarks.prediction import results
+from benchmarks.prediction.averages import average_seeds
 from benchmarks.prediction.models import train_all_seeds, train_once
 from benchmarks.prediction.protocol import PEDESTRIANS, evaluate_scene
 from geoaim.aim.aim import AIM
@@ -24,7 +25,7 @@ from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.config import SEGMENT_STEPS, configure_fine_tuning
 from geoaim.prediction.dataset import make_dataset, split_scene
-from geoaim.prediction.metrics import Metric, average_seeds, concat
+from geoaim.prediction.metrics import Metric, concat
 from geoaim.rendering.scene import Scene, make_scene
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.formats import read_tracks

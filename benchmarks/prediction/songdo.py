@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.data import require_data
+from benchmarks.prediction.averages import merge_segments
 from benchmarks.prediction.models import train_once
 from benchmarks.prediction.protocol import VEHICLES
 from benchmarks.prediction.real_places import RealRecording
@@ -18,7 +19,7 @@ from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS, configure
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.dataset import Dataset, stack_maps
 from geoaim.prediction.evaluation import EvalConfig, evaluate
-from geoaim.prediction.metrics import keep_rates, merge_segments
+from geoaim.prediction.metrics import keep_rates
 from geoaim.prediction.segments import pick
 from geoaim.rendering.scene import Scene, slice_scene
 from geoaim.tracks.formats import read_geotrax

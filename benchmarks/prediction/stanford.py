@@ -10,6 +10,7 @@ from jaxtyping import Float32
 from numpy import ndarray as Array
 
 from benchmarks.data import require_data
+from benchmarks.prediction.averages import average_seeds
 from benchmarks.prediction.models import train_once
 from benchmarks.prediction.places import add_blur_and_noise
 from benchmarks.prediction.results import Metrics, Workspace, compute_differences, write_results
@@ -19,7 +20,7 @@ from geoaim.prediction.config import Config
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.metrics import Metric, average_seeds
+from geoaim.prediction.metrics import Metric
 from geoaim.prediction.training import init_model
 from geoaim.prediction.window_training import (
     WINDOW_TRAINING,

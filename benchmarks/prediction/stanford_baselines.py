@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from benchmarks.data import require_data
+from benchmarks.prediction.averages import average_seeds, bootstrap_trainings
 from benchmarks.prediction.results import Metrics, Workspace, write_results
 from benchmarks.prediction.stanford import (
     DATA,
@@ -24,7 +25,7 @@ from geoaim.prediction.anchors import HISTORY_NOISE_M
 from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.batches import compute_top_k
 from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
-from geoaim.prediction.metrics import Metric, average_seeds, bootstrap_trainings
+from geoaim.prediction.metrics import Metric
 from geoaim.prediction.networks import build_mlp
 from geoaim.prediction.segments import Segments, concat, repeat
 from geoaim.prediction.window_training import WINDOW_TRAINING as TRAINING

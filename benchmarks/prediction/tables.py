@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.prediction import results
+from benchmarks.prediction.averages import average_seeds
 from benchmarks.prediction.figures import draw_futures_on_maps
 from benchmarks.prediction.models import MODELS, train_all_seeds
 from benchmarks.prediction.places import TEST, TRAIN, make_places
@@ -14,7 +15,7 @@ from geoaim.base.errors import TracksError
 from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.config import Config
 from geoaim.prediction.dataset import VAL_FRACTION
-from geoaim.prediction.metrics import Metric, average_seeds, concat
+from geoaim.prediction.metrics import Metric, concat
 
 SUBSETS: Mapping[str, Sequence[PlaceKind]] = {
     "test": PLACE_KINDS,

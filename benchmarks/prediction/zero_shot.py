@@ -17,6 +17,7 @@ from benchmarks.prediction.results import Metrics, Workspace, compute_difference
 from geoaim.prediction.baselines import BASELINES, Predictor, replay
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
+from geoaim.prediction.controllers import follow
 from geoaim.prediction.metrics import MIN_SEGMENTS, concat, keep_rates
 from geoaim.rendering.scene import Scene
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
@@ -81,10 +82,9 @@ def _evaluate(one: RecordingSet) -> dict[str, Metrics]:
     model = read_pretrained(one.kind)
     predictors: dict[str, Predictor] = {"ITRA": model.sample, **BASELINES, "recording": replay}
     if model.config.brakes:
-        alone, blind = read_pretrained(one.kind), read_pretrained(one.kind)
-        alone.config = replace(alone.config, brakes=False)
-        blind.config = replace(alone.config, reacts=False)
-        predictors |= {"ITRA, networks alone": alone.sample, "ITRA without reacting": blind.sample}
+        alone = read_pretrained(one.kind)
+        alone.controllers = [follow]
+        predictors["ITRA, networks alone"] = alone.sample
     found = {
         name: concat(
             [

@@ -26,7 +26,9 @@ from geoaim.prediction.plain import PlainNetwork
 
 FORMAT = FileFormat("model", 2, 3, first_checked=3, error=ModelError)
 MAX_NUMBERS = {"dt": 10, "resolution": 100, "view_size": 1024, "view_stride": 1000}
-DROPPED = ("neighbours",)  # of the configs of earlier versions; what had it has unknown weights
+# of the configs of earlier versions; a model with "neighbours" has unknown weights, and what a
+# network that "reacts" did, the rules do alone
+DROPPED = ("neighbours", "reacts")
 PRETRAINED = Path(__file__).parent / "models"
 
 
@@ -94,7 +96,7 @@ def _load(module: torch.nn.Module, stored: dict[str, torch.Tensor]) -> dict[str,
             raise ValueError(f"its {name} is no tensor of numbers")
         if value.untyped_storage().nbytes() < value.nbytes:
             raise ValueError(f"its {name} has more numbers than the file")
-    weights = {name: value.float() for name, value in stored.items()}
+    weights = {k: value.float() for k, value in stored.items() if not k.startswith("reaction.")}
     module.load_state_dict(weights, assign=True)
     return weights
 

@@ -39,9 +39,8 @@ class Config:
         latent_size: width of the latent z.
         latent_steps: steps for which a latent is kept in samples; 1 as in the paper. Longer ones
             make futures that differ by a decision rather than by a jitter.
-        reacts: whether a network changes vehicles' accelerations by the speeds from which they
-            could stop for others and before red lights (`geoaim.prediction.safe_speeds`).
-        brakes: whether rules take care that accelerations are not above what those speeds allow.
+        brakes: whether rules make vehicles stop for others and before red lights, and start again
+            (`geoaim.prediction.controllers`).
         latent_scale: standard deviation of latents when futures are sampled; 1 as in training. With
             less, samples lie closer together.
         sigma: standard deviation of states in the likelihood, metres.
@@ -67,7 +66,6 @@ class Config:
     latent_size: int = 8
     latent_scale: float = 1.0
     latent_steps: int = 1
-    reacts: bool = False
     brakes: bool = False
     sigma: float = 0.2
     heading_scale: float = 2.0

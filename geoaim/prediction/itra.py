@@ -30,6 +30,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from geoaim.prediction import controllers
 from geoaim.prediction.anchors import (
     HISTORY_NOISE_M,
     AnchorHead,
@@ -39,7 +40,7 @@ from geoaim.prediction.anchors import (
 from geoaim.prediction.bound import Losses, compute_nll, draw_posterior
 from geoaim.prediction.config import Config
 from geoaim.prediction.neighbours import split_views
-from geoaim.prediction.networks import Reaction, build_cnn, build_mlp
+from geoaim.prediction.networks import build_cnn, build_mlp
 from geoaim.prediction.observation import (
     CHANNELS,
     Controlled,
@@ -48,37 +49,26 @@ from geoaim.prediction.observation import (
     render_observation,
 )
 from geoaim.prediction.plain import PlainNetwork
-from geoaim.prediction.plans import BRAKING_AHEAD_S, Goal, Plan, approach_speed, plan_through
+from geoaim.prediction.plans import Goal
 from geoaim.prediction.rollouts import (
     MAX_ACTION,
     Batch,
     Rollout,
     encode_anchor,
-    gather_others,
     index_batch,
     normalise_actions,
     normalise_attributes,
     repeat_rollout,
-)
-from geoaim.prediction.safe_speeds import (
-    MAX_BRAKING_MPS2,
-    MIN_SPEED_MPS,
-    compute_curvature,
-    compute_safe_speed_before_red,
-    compute_safe_speeds,
 )
 from geoaim.prediction.segments import Segments
 from geoaim.rendering.ground import Ground
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.simulation.input_checks import check_shape
 from geoaim.simulation.kinematics import MOTION_MODELS
-from geoaim.tracks.lights import RED
 
 if TYPE_CHECKING:
     from geoaim.prediction.familiarity import KnownViews
 
-STANDING_MPS, STARTING_MPS2 = 0.15, 0.2  # slower stands; an agent starts by more than that
-CURVATURE_SHARE = 0.3  # of a new action in the curvature of an agent's arc
 ATTRIBUTES = 3  # speed, length and width
 
 
@@ -95,6 +85,9 @@ class ITRA(nn.Module):
         self.known_views: KnownViews | None = None  # of a trained model with observations
         self.own_place: PlainNetwork | None = None  # of a model that was trained on a place
         self.motion = MOTION_MODELS[config.motion]
+        self.controllers = [controllers.follow]
+        if config.brakes:
+            self.controllers += [controllers.start, controllers.brake]
         context = config.feature_size + config.hidden_size + ATTRIBUTES
         anchor = 2 * config.anchor_points + 1 if config.num_anchors else 0
         if config.use_observations:
@@ -106,11 +99,8 @@ class ITRA(nn.Module):
         self.posterior = build_mlp(context + 2, config.hidden_size, 2 * config.latent_size)
         if config.num_anchors:
             self.anchors = AnchorHead(config)
-        if (config.brakes or config.reacts) and config.motion != "bicycle":
-            name = "brakes" if config.brakes else "reacts"
-            raise ValueError(f"{name}=True is for vehicles; the motion is {config.motion!r}")
-        if config.reacts:
-            self.reaction = Reaction(config.hidden_size // 2)
+        if config.brakes and config.motion != "bicycle":
+            raise ValueError(f"brakes=True is for vehicles; the motion is {config.motion!r}")
 
     def forward(
         self,
@@ -138,18 +128,20 @@ class ITRA(nn.Module):
         batch = index_batch(self.config, segments, ground, history)
         truth, actions = batch.truth, normalise_actions(self.motion, batch)
         rollout, anchor_loss = self._start(batch, actions), truth.new_zeros(())
-        predicted, kl = [], []
+        predicted, kl, held = [], [], self.config.latent_steps
         for step in range(history - 1, segments.steps - 1):
             rollout, context = self._look(rollout)
             if self.config.num_anchors and step == history - 1:
                 anchor, anchor_loss = self._train_anchors(rollout, generator, top_k)
                 rollout = replace(rollout, anchor=anchor)
-            posterior = self.posterior(torch.cat([context, actions[:, step]], dim=1))
-            latent, divergence = draw_posterior(posterior, generator)
+            if (step - history + 1) % held == 0:
+                taken = actions[:, step : step + held].mean(dim=1)
+                posterior = self.posterior(torch.cat([context, taken], dim=1))
+                latent, divergence = draw_posterior(posterior, generator)
+                kl.append(divergence / held)
             action = self._decode(rollout, context, latent)
             rollout = self._move(self._remember(rollout, context, action), action)
             predicted.append(rollout.pose)
-            kl.append(divergence)
         nll = compute_nll(self.config, torch.stack(predicted, dim=1), truth[:, history:])
         return Losses(nll, torch.stack(kl, dim=1).mean(), anchor_loss)
 
@@ -253,11 +245,15 @@ class ITRA(nn.Module):
         """
         ground = prefilter_ground(ground, self.config.resolution)
         one = index_batch(self.config, segments, ground, history)
-        rollout = self._start(one, normalise_actions(self.motion, one))
+        actions = normalise_actions(self.motion, one)
+        rollout = self._start(one, actions)
+        if self.config.brakes:
+            rollout = controllers.prepare(rollout, self.scale_action(actions))
         rollout = repeat_rollout(rollout, samples)
         if self.own_place is None and not goals:
             return rollout
-        return self._plan(rollout, segments, goals or {})
+        given = rollout, segments, self.own_place, goals or {}
+        return controllers.make_plans(*given, bicycle=self.config.motion == "bicycle")
 
     def draw_latent(
         self, rollout: Rollout, generator: torch.Generator, scale: float = 1.0
@@ -318,17 +314,15 @@ class ITRA(nn.Module):
             anchors, logits = self.anchors(rollout.pose, past, rollout.features)
             rank = rollout.batch.controlled.segment % rollout.samples
             rollout = replace(rollout, anchor=select_anchor(anchors, logits, rank))
-        wanted = action = self._decode(rollout, context, latent)
-        if rollout.plan is not None:
-            wanted = action = self._follow(rollout, rollout.plan, action)
-        if rollout.safe_speeds is not None:
-            action = self._brake(rollout, wanted, rollout.safe_speeds)
-        if rollout.plan is not None:
-            plan = rollout.plan.advance(rollout.pose, action[:, 0] < wanted[:, 0])
-            rollout = replace(rollout, plan=plan)
+        action = self.scale_action(self._decode(rollout, context, latent))
+        rollout = controllers.watch(rollout)
+        for control in self.controllers:
+            rollout, action = control(rollout, action)
+        rollout = controllers.remember_arc(rollout, action)
+        action = (action / action.new_tensor(self.motion.scale)).clamp(-MAX_ACTION, MAX_ACTION)
         return action, replace(self._remember(rollout, context, action), latent=latent)
 
-    def scale_action(self, action: Float[Tensor, "E 2"]) -> Float[Tensor, "E 2"]:
+    def scale_action(self, action: Float[Tensor, "*E 2"]) -> Float[Tensor, "*E 2"]:
         """Convert normalised actions to those of the motion model, such as m/s² and radians."""
         return action * action.new_tensor(self.motion.scale)
 
@@ -352,8 +346,6 @@ class ITRA(nn.Module):
         sizes = batch.sizes
         features = sizes.new_zeros(len(sizes), self.config.feature_size)
         hidden = sizes.new_zeros(len(sizes), self.config.hidden_size)
-        watches = self.config.brakes or self.config.reacts
-        curvature = torch.zeros_like(sizes[:, 0]) if watches else None
         for step in range(batch.history - 1):
             states = batch.segments.states[:, :, step]  # (B, N, 4)
             features = self._update_features(batch, states, step, features)  # (E, F)
@@ -362,13 +354,9 @@ class ITRA(nn.Module):
             updated = self.update_hidden(inputs, hidden)  # (E, H)
             # the hidden state of an agent that enters later stays zero until then
             hidden = torch.where(batch.find_moving(step), updated, hidden)
-            if curvature is not None:
-                drives = batch.find_moving(step)[:, 0] & (batch.truth[:, step, 3] > MIN_SPEED_MPS)
-                bent = self._bend(curvature, actions[:, step], sizes)
-                curvature = torch.where(drives, bent, curvature)
         last = batch.history - 1
         states = batch.segments.states[:, :, last]
-        return Rollout(batch, last, states, features, hidden, curvature=curvature)
+        return Rollout(batch, last, states, features, hidden)
 
     def _roll_out(
         self, rollout: Rollout, draw: Callable[[Rollout], Float[Tensor, "E Z"]]
@@ -387,10 +375,7 @@ class ITRA(nn.Module):
         features = self._update_features(rollout.batch, rollout.states, index, before)  # (E, F)
         attributes = normalise_attributes(rollout.pose, rollout.batch.sizes)  # (E, 3)
         context = torch.cat([features, rollout.hidden, attributes], dim=1)  # (E, F + H + 3)
-        safe = None
-        if rollout.curvature is not None:
-            safe = self._find_safe_speeds(rollout, rollout.curvature)
-        return replace(rollout, features=features, safe_speeds=safe), context
+        return replace(rollout, features=features), context
 
     def _decode(
         self, rollout: Rollout, context: Float[Tensor, "E C"], latent: Float[Tensor, "E Z"]
@@ -401,9 +386,6 @@ class ITRA(nn.Module):
             remaining = (total - 1 - rollout.index) / total
             inputs.append(encode_anchor(rollout.pose, rollout.anchor, remaining))
         action = self.decode_action(torch.cat(inputs, dim=1))  # (E, 2)
-        if self.config.reacts and rollout.safe_speeds is not None:
-            lower = self.reaction(action[:, 0], rollout.pose[:, 3], rollout.safe_speeds)
-            action = torch.stack([lower, action[:, 1]], dim=1)
         return MAX_ACTION * torch.tanh(action / MAX_ACTION)
 
     def _remember(
@@ -412,105 +394,8 @@ class ITRA(nn.Module):
         """Update the hidden states by actions."""
         seen = torch.cat([rollout.features, action, context[:, -ATTRIBUTES:]], dim=1)
         updated = self.update_hidden(seen, rollout.hidden)
-        curvature = rollout.curvature
-        if curvature is not None:
-            curvature = self._bend(curvature, action, rollout.batch.sizes)
         hidden = torch.where(rollout.moving, updated, rollout.hidden)
-        return replace(rollout, hidden=hidden, curvature=curvature)
-
-    def _plan(self, rollout: Rollout, segments: Segments, goals: Mapping[str, Goal]) -> Rollout:
-        """Give agents the paths to their goals, and others the proposals of a place's network.
-
-        Each sample of the first half has a proposal of its own, for all agents of a segment.
-        """
-        controlled, samples, dt = rollout.batch.controlled, rollout.samples, segments.dt
-        row, agent = controlled.segment // samples, controlled.agent
-        rank = controlled.segment % samples
-        states, steps = rollout.pose[:, None], torch.zeros_like(rank)
-        if self.own_place is not None:
-            plans, planned = self.own_place.plan(segments, rollout.batch.history)
-            proposed = plans[row, agent, rank.clamp_max(plans.shape[2] - 1)]  # (E, t, 4)
-            states = torch.cat([states, proposed], dim=1)
-            follows = planned[row, agent] & (rank < min(plans.shape[2], (samples + 1) // 2))
-            steps = torch.where(follows, proposed.shape[1], steps)
-        speeds = torch.full_like(rollout.pose[:, 3], torch.nan)
-        for name, goal in goals.items():
-            found = [
-                k
-                for k, (i, j) in enumerate(zip(row.tolist(), agent.tolist(), strict=True))
-                if segments.ids and j < len(segments.ids[i]) and segments.ids[i][j] == name
-            ]
-            if not found:
-                raise ValueError(f"a goal is of agent {name}, which the model does not control")
-            speeds[found] = torch.nan if goal.speed is None else goal.speed
-            steps[found] = 0
-            for k in found if goal.points else ():
-                path = plan_through(rollout.pose[k], goal, dt)
-                more = len(path) - states.shape[1]
-                if more > 0:
-                    states = torch.cat([states, states[:, -1:].expand(-1, more, -1)], dim=1)
-                states = states.clone()
-                states[k, : len(path)] = path
-                steps[k] = len(path) - 1
-        return replace(rollout, plan=Plan(states, steps, torch.zeros_like(rank)), speeds=speeds)
-
-    def _follow(
-        self, rollout: Rollout, plan: Plan, action: Float[Tensor, "E 2"]
-    ) -> Float[Tensor, "E 2"]:
-        """Replace the actions of agents that have a plan."""
-        batch, bicycle = rollout.batch, self.config.motion == "bicycle"
-        given = plan.follow(rollout.pose, batch.sizes, batch.segments.dt, bicycle=bicycle)
-        given = (given / given.new_tensor(self.motion.scale)).clamp(-MAX_ACTION, MAX_ACTION)
-        if rollout.speeds is not None:
-            steered = approach_speed(rollout.pose, rollout.speeds) / self.motion.scale[0]
-            steered = torch.where(rollout.speeds.isnan(), action[:, 0], steered)
-            action = torch.stack([steered, action[:, 1]], dim=1)
-        return torch.where(plan.goes_on[:, None], given, action)
-
-    def _bend(
-        self,
-        curvature: Float[Tensor, "E"],
-        action: Float[Tensor, "E 2"],
-        sizes: Float[Tensor, "E 2"],
-    ) -> Float[Tensor, "E"]:
-        """Follow the curvature of arcs by new actions, which jitter."""
-        bent = compute_curvature(self.scale_action(action)[:, 1], sizes[:, 0])
-        return torch.lerp(curvature, bent, CURVATURE_SHARE)
-
-    def _find_safe_speeds(
-        self, rollout: Rollout, curvature: Float[Tensor, "E"]
-    ) -> Float[Tensor, "E 3"]:
-        """Speeds from which agents can stop for others, and before red lights."""
-        batch, pose = rollout.batch, rollout.pose
-        if (plan := rollout.plan) is not None:
-            arc = plan.aim(pose, BRAKING_AHEAD_S, batch.segments.dt)
-            curvature = torch.where(plan.goes_on, arc, curvature)
-        row, (others, sizes, there) = batch.controlled.segment, gather_others(rollout)
-        turns = torch.zeros_like(rollout.states[..., 0])
-        turns = turns.index_put(batch.controlled.index, curvature)[row]
-        given = pose, batch.sizes, curvature
-        safe = compute_safe_speeds(*given, others, sizes, turns, there)
-        red = batch.segments.light_states[row, rollout.index] == RED
-        stops = compute_safe_speed_before_red(*given, batch.segments.stop_lines[row], red)
-        return torch.cat([safe, stops[:, None]], dim=1)
-
-    def _brake(
-        self, rollout: Rollout, action: Float[Tensor, "E 2"], safe_speeds: Float[Tensor, "E 3"]
-    ) -> Float[Tensor, "E 2"]:
-        """Lower accelerations with which agents could not stop, if `Config.brakes`.
-
-        Nobody brakes into reverse. Who stands stays there until it starts: with weaker
-        accelerations parked vehicles creep, up to 12 m in 20 s.
-        """
-        speed, dt = rollout.pose[:, 3], rollout.batch.segments.dt
-        lower = self.scale_action(action)[:, 0]
-        if self.config.brakes:
-            most = (safe_speeds.amin(dim=1) - speed.clamp_min(0)) / dt
-            lower = torch.minimum(lower, most.clamp_min(-MAX_BRAKING_MPS2))
-        lower = torch.where(speed > 0, torch.maximum(lower, -speed / dt), lower)
-        stays = (speed.abs() < STANDING_MPS) & (lower < STARTING_MPS2)
-        held = torch.where(stays, -speed / dt - lower, 0).detach()  # gradients still pass
-        return torch.stack([(lower + held) / self.motion.scale[0], action[:, 1]], dim=1)
+        return replace(rollout, hidden=hidden)
 
     def _move(self, rollout: Rollout, action: Float[Tensor, "E 2"]) -> Rollout:
         """Move the controlled agents that are there; those that enter do so as recorded."""

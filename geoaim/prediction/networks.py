@@ -1,14 +1,8 @@
 """The networks that ITRA is built from: a four-layer CNN for views, and small MLPs."""
 
-import torch
-import torch.nn.functional as F
-from jaxtyping import Float
-from torch import Tensor, nn
+from torch import nn
 
 CNN_WIDTHS = (16, 32, 48, 64)
-SPARE_SCALES_MPS = (1.0, 5.0)
-MAX_SPARE_MPS = 5.0  # with more, nothing is changed
-REACTION_INPUTS = 3 * len(SPARE_SCALES_MPS) + 2
 VIEW_CONTRAST = 0.25  # standard deviation of a view's channels about their mean
 
 
@@ -61,30 +55,3 @@ def build_mlp(inputs: int, width: int, outputs: int) -> nn.Sequential:
         nn.ReLU(),
         nn.Linear(width, outputs),
     )
-
-
-class Reaction(nn.Module):
-    """Lowers accelerations where speeds are near to those from which agents could stop, or above.
-
-    Where nobody is ahead or crosses and no light is red, it changes nothing.
-
-    Args:
-        width: width of the hidden layers.
-    """
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.layers = build_mlp(REACTION_INPUTS, width, 1)
-
-    def forward(
-        self,
-        wanted: Float[Tensor, "E"],
-        speed: Float[Tensor, "E"],
-        safe_speeds: Float[Tensor, "E 3"],
-    ) -> Float[Tensor, "E"]:
-        """Lower normalised accelerations that are wanted at these speeds, m/s."""
-        spare = safe_speeds - speed[:, None]
-        scaled = [(spare / scale).clamp(-2, 2) for scale in SPARE_SCALES_MPS]
-        given = torch.cat([*scaled, torch.stack([wanted, speed / 10], dim=1)], dim=1)
-        near = (1 - spare.amin(dim=1) / MAX_SPARE_MPS).clamp(0, 1)
-        return wanted - near * F.softplus(self.layers(given)[:, 0])

@@ -62,11 +62,13 @@ class Plan:
         states: (E, t, 4) states, the first ones at the last observed step.
         steps: of each agent's plan; 0: it has none.
         done: steps of the plan that each agent has taken.
+        bicycle: whether agents move as bicycles rather than unicycles.
     """
 
     states: Float[Tensor, "E t 4"]
     steps: Int[Tensor, "E"]
     done: Int[Tensor, "E"]
+    bicycle: bool
 
     @property
     def goes_on(self) -> Bool[Tensor, "E"]:
@@ -74,15 +76,15 @@ class Plan:
         return self.done < self.steps
 
     def follow(
-        self, pose: Float[Tensor, "E 4"], sizes: Float[Tensor, "E 2"], dt: float, *, bicycle: bool
+        self, pose: Float[Tensor, "E 4"], sizes: Float[Tensor, "E 2"], dt: float
     ) -> Float[Tensor, "E 2"]:
-        """Actions of the bicycle or the unicycle, not normalised, that follow the plans."""
+        """Actions of the bicycle or the unicycle that follow the plans."""
         now, after = self._look_up(self.done), self._look_up(self.done + 1)
         lag = agent_from_world(pose, now[:, :2])[:, 0]
         speed = after[:, 3] + lag / CATCH_UP_S
         acceleration = ((speed - pose[:, 3]) / dt).clamp_max(MAX_SPEEDING_UP)
         curvature = self.aim(pose, AHEAD_S, dt)
-        if not bicycle:
+        if not self.bicycle:
             return torch.stack([acceleration, curvature * speed], dim=1)
         sine = (curvature * WHEELBASE_PER_LENGTH / 2 * sizes[:, 0]).clamp(-0.9, 0.9)
         return torch.stack([acceleration, torch.atan(2 * torch.tan(torch.asin(sine)))], dim=1)
@@ -94,11 +96,15 @@ class Plan:
         distance = x.square() + y.square()
         return torch.where(distance > MIN_AHEAD_M**2, 2 * y / distance.clamp_min(1e-6), 0.0)
 
-    def advance(self, pose: Float[Tensor, "E 4"], braked: Bool[Tensor, "E"]) -> "Plan":
-        """Count a step; of who braked, only as many steps as it has gone of the path."""
+    def advance(self) -> "Plan":
+        """Count a step."""
+        return replace(self, done=self.done + 1)
+
+    def fall_back(self, pose: Float[Tensor, "E 4"], braked: Bool[Tensor, "E"]) -> "Plan":
+        """Count of who braked only as many steps as it has gone of the path."""
         nearest = (self.states[..., :2] - pose[:, None, :2]).norm(dim=2).argmin(dim=1)
-        done = torch.where(braked, torch.minimum(nearest, self.done + 1), self.done + 1)
-        return replace(self, done=torch.maximum(done, self.done))
+        gone = torch.maximum(torch.minimum(nearest, self.done), self.done - 1)
+        return replace(self, done=torch.where(braked, gone, self.done))
 
     def _look_up(self, index: Int[Tensor, "E"]) -> Float[Tensor, "E 4"]:
         """States at a step of each plan; beyond its end the last one."""

@@ -80,6 +80,7 @@ class Rollout:
             and before red lights, as the last step began, m/s.
         plan: paths that agents follow, of a model that was trained on a place or that is steered.
         speeds: (E,) target speeds of agents that are steered, m/s; NaN: it has none.
+        waits: (E,) who stands, or has just driven off, and had a reason to wait.
     """
 
     batch: Batch
@@ -94,6 +95,7 @@ class Rollout:
     safe_speeds: Float[Tensor, "E 3"] | None = None
     plan: Plan | None = None
     speeds: Float[Tensor, "E"] | None = None
+    waits: Bool[Tensor, "E"] | None = None
 
     @property
     def pose(self) -> Float[Tensor, "E 4"]:
@@ -104,6 +106,13 @@ class Rollout:
     def moving(self) -> Bool[Tensor, "E 1"]:
         """Controlled agents that are still there at the next step."""
         return self.batch.find_moving(self.index)
+
+    @property
+    def steered(self) -> Bool[Tensor, "E"]:
+        """Controlled agents that follow a plan or have a target speed."""
+        if self.plan is None or self.speeds is None:
+            return torch.zeros_like(self.moving[:, 0])
+        return self.plan.goes_on | self.speeds.isfinite()
 
     def place(self, agent: int, states: Float[Tensor, "B 4"]) -> "Rollout":
         """Put an agent elsewhere in all rows, as its own planner wants.
@@ -139,6 +148,7 @@ def repeat_rollout(rollout: Rollout, samples: int) -> Rollout:
         hidden=rollout.hidden[row],
         samples=samples,
         curvature=None if rollout.curvature is None else rollout.curvature[row],
+        waits=None if rollout.waits is None else rollout.waits[row],
     )
 
 

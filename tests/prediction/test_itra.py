@@ -14,6 +14,7 @@ KINDS = {
     "unicycle": replace(TINY, motion="unicycle"),
     "slide with proposals": replace(TINY, motion="slide", num_anchors=3, history=2, horizon=5),
     "no observations": replace(TINY, use_observations=False),
+    "held latents": replace(TINY, latent_steps=3),
     "surface contrast": replace(TINY, surface_contrast=True),
 }
 

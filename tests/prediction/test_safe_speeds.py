@@ -1,14 +1,10 @@
-"""Safe speeds behind others and before red lights, driven step by step, and in a model."""
-
-from dataclasses import replace
+"""Safe speeds behind others and before red lights, driven step by step."""
 
 import pytest
 import torch
 
-from geoaim.prediction.itra import ITRA
 from geoaim.prediction.safe_speeds import compute_safe_speed_before_red, compute_safe_speeds
 from geoaim.simulation.kinematics import bicycle
-from tests.prediction.tiny import TINY, drive, hill
 
 DT = 0.1
 SIZE = torch.tensor([[4.5, 1.8]])
@@ -119,52 +115,3 @@ def test_places_without_lights_and_lines_of_no_length_have_finite_gradients():
     red = torch.ones(1, 2, dtype=torch.bool)
     compute_safe_speed_before_red(pose, SIZE, torch.zeros(1), lines, red).sum().backward()
     assert torch.isfinite(pose.grad).all()
-
-
-def test_who_stands_does_not_creep():
-    segments = drive(40, curve=0.0)
-    states = segments.states.clone()
-    states[:, 0] = states[:, 0, :1] * states.new_tensor([1, 1, 1, 0])
-    ways = {}
-    for brakes in (False, True):
-        torch.manual_seed(0)
-        itra = ITRA(replace(TINY, brakes=brakes, latent_scale=0.1)).eval()
-        with torch.no_grad():
-            itra.decode_action[-1].weight *= 0.1
-            itra.decode_action[-1].bias.copy_(torch.tensor([0.02, 0.0]))
-        still = replace(segments, states=states)
-        futures = itra.sample(still, hill(), history=4, samples=2, generator=torch.Generator())
-        ways[brakes] = float((futures[:, :, 0, -1, 0] - futures[:, :, 0, 3, 0]).abs().max())
-    assert ways[False] > 0.2
-    assert ways[True] == 0
-
-
-def test_nobody_brakes_into_reverse():
-    torch.manual_seed(0)
-    itra = ITRA(replace(TINY, brakes=True)).eval()
-    with torch.no_grad():
-        itra.decode_action[-1].bias.copy_(torch.tensor([-9.0, 0.0]))
-    futures = itra.sample(drive(40), hill(), history=4, samples=2, generator=torch.Generator())
-    assert float(futures[:, :, 0, -1, 3].abs().max()) == 0
-    assert float(futures[:, :, 0, :, 3].min()) == 0
-
-
-def test_a_network_brakes_for_a_leader_beyond_the_view():
-    alone = drive(6, curve=0.0)  # the third one is near enough
-    states = alone.states.clone()
-    states[:, 1] = states.new_tensor([27.5, 0.0, 0.0, 0.0])  # 16 m are in view
-    led = replace(alone, states=states)
-    far = states.clone()
-    far[:, 1, :, 1] = 30.0
-    free = replace(alone, states=far)
-
-    def react(reacts):
-        torch.manual_seed(0)
-        itra, speeds = ITRA(replace(TINY, reacts=reacts)).eval(), []
-        for segments in (led, free):
-            some = {"history": 4, "samples": 1, "generator": torch.Generator().manual_seed(0)}
-            speeds.append(itra.sample(segments, hill(), **some)[2, 0, 0, -1, 3])
-        return float(speeds[0] - speeds[1])
-
-    assert react(False) == 0
-    assert react(True) < 0

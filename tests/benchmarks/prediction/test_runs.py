@@ -103,7 +103,7 @@ def test_pretrained_models_are_written_to_the_workspace(workspace, monkeypatch, 
     scene = make_place_scene(read_recordings(place)[0], read_map(place, "aim"), dt=0.1)
     monkeypatch.setattr(closed_loop, "make_drawn_scene", lambda kind, seed: (scene, None))
     monkeypatch.setattr(closed_loop, "CLOSED_LOOP", ((5, "t"),))
-    for name, value in {"STEPS": 3, "REACTION_STEPS": 2, **SMALL_LOOP}.items():
+    for name, value in {"STEPS": 3, **SMALL_LOOP}.items():
         monkeypatch.setattr(closed_loop, name, value)
     monkeypatch.setattr(pretrained, "REALISTIC_STEPS", {"vehicle": 1, "pedestrian": 1})
     monkeypatch.setattr(pretrained, "REALISTIC_BATCH", 2)
@@ -114,7 +114,7 @@ def test_pretrained_models_are_written_to_the_workspace(workspace, monkeypatch, 
     after = read_model(paths[0]).state_dict()
     changed = {name for name in before if not before[name].equal(after[name])}
     assert any(name.startswith("decode_action") for name in changed)
-    assert read_model(paths[0]).config.reacts
+    assert read_model(paths[0]).config.brakes
 
 
 @pytest.mark.slow
