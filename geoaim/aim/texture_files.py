@@ -33,6 +33,7 @@ REQUIRED = frozenset({"version", "image", *SIZES, "corner_order", "corners", "wo
 POSITION_KEYS = ("position", "place")  # of the report: how well it is known, and where that holds
 OPTIONAL = frozenset({"image_sha256", "checksum", *POSITION_KEYS})  # which geoaim writes
 ORIENTATION_TAG, UPRIGHT = 0x0112, 1  # EXIF
+MAX_SIZE_ERROR = 0.01  # of a pixel's stated size, as a share: it is rounded in files of others
 MAX_SKEW = 1e-12  # largest skew of a parallelogram as a share of its sides: rounding
 
 
@@ -111,6 +112,7 @@ def read_frame(path: Path) -> tuple[dict[str, Any], Grid]:
         world = World(frame["world"]["crs"], (float(east), float(north)))
         corners, size = np.array(frame["corners"], float), (frame["height"], frame["width"])
         grid = Grid(size, fit_corners(corners, *size), world)
+        _check_corners(corners, frame)
         bind_report({name: frame[name] for name in POSITION_KEYS if name in frame}, grid)
     return frame, grid
 
@@ -163,6 +165,25 @@ def fit_corners(corners: Float[Array, "4 2"], height: int, width: int) -> Float[
     sides = np.stack([edges[0], -edges[3]]) + depth[:, None] * corners[[1, 3]]
     world_from_square = np.vstack([np.column_stack([*sides, corners[0]]), [*depth, 1.0]])
     return world_from_square @ np.diag([1 / width, 1 / height, 1.0])
+
+
+def _check_corners(corners: Float[Array, "4 2"], frame: dict[str, Any]) -> None:
+    """Refuse corners of a mirror image, or that contradict the stated size of a pixel."""
+    top, right, bottom, left = np.roll(corners, -1, axis=0) - corners
+    if top[0] * left[1] - top[1] * left[0] < 0:
+        raise AimError(
+            "the corners show the ground as in a mirror, which no picture from above does: is y "
+            "counted downwards? x is east and y north"
+        )
+    for side, edges in (("width", (top, bottom)), ("height", (right, left))):
+        sizes = [float(np.hypot(*edge)) / frame[side] for edge in edges]
+        stated = float(frame[f"pixel_{side}"])
+        low, high = min(sizes) * (1 - MAX_SIZE_ERROR), max(sizes) * (1 + MAX_SIZE_ERROR)
+        if not low <= stated <= high:
+            raise AimError(
+                f"pixel_{side} is {stated:g} m, and by the corners and {frame[side]} pixels "
+                f"{np.mean(sizes):.4g} m: correct what is wrong"
+            )
 
 
 def _read_pixels(picture: Path, height: int, width: int) -> UInt8[Array, "H W 4"]:

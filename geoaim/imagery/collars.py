@@ -32,8 +32,9 @@ def hide_collars(aim: AIM, name: str | None) -> AIM:
         return aim
     if name is not None:
         warn(
-            f"{name}: {share:.0%} of the image is plain white or black at its edge, and no nodata "
-            "value says so: taken as showing nothing; nodata='none' (--nodata none) keeps it"
+            f"{name}: {share:.0%} of the image is plain white or black at its edge, and no mask or "
+            "exact nodata value says so: taken as showing nothing; nodata='none' (--nodata none) "
+            "keeps it"
         )
     image = np.where(collars[..., None], np.uint8(0), aim.image)
     return replace(aim, image=image, coverage=np.where(collars, np.uint16(0), aim.coverage))

@@ -30,6 +30,7 @@ from geoaim.base.world import (
 )
 
 SEQUENTIAL_DRIVERS = {"PNG", "JPEG", "WEBP", "GIF", "BMP"}  # decode a file from its start
+LOSSY = ("JPEG", "WEBP", "JXL")  # compressions that blur nodata with what is beside it
 MAX_PRJ_BYTES = 1_000_000
 MAX_BLOCK_PIXELS = 1_000_000_000  # largest block; a block can only be decoded as a whole
 # smallest area of a pixel in units of the CRS; in degrees, pixels of 0.003 mm
@@ -50,9 +51,12 @@ class Raster:
     grid: Grid  # its pixels, mapped to coordinates in that CRS, x first
     bands: tuple[int, ...]  # number of the grey band, or of the red, green and blue ones, from 1
     dtype: str  # data type of these bands
-    masked: bool  # whether the file tells pixels that show nothing: alpha, a mask or nodata
+    # whether the file tells pixels that show nothing: alpha, a mask, or nodata that lossy
+    # compression has not blurred
+    masked: bool
     nodata: float | None = None  # value of pixels that show nothing, where the file tells none
     options: Mapping[str, int] = field(default_factory=dict)  # options of GDAL's driver
+    inverted: bool = False  # whether 0 is white, and the largest value black
 
 
 def describe_raster(
@@ -98,10 +102,21 @@ def describe_raster(
             grid=Grid((dataset.height, dataset.width), matrix),
             bands=chosen,
             dtype=dataset.dtypes[chosen[0] - 1],
-            masked=any(MaskFlags.all_valid not in dataset.mask_flag_enums[x - 1] for x in chosen),
+            masked=_tells_empty(dataset, chosen),
             nodata=nodata,
             options=options,
+            inverted=dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
+            and np.dtype(dataset.dtypes[chosen[0] - 1]).kind == "u",
         )
+
+
+def _tells_empty(dataset: Any, bands: Sequence[int]) -> bool:
+    """Whether a file tells the pixels that show nothing, to the last one."""
+    flags = {flag for band in bands for flag in dataset.mask_flag_enums[band - 1]}
+    compression = dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION", "")
+    if flags == {MaskFlags.nodata} and any(name in compression for name in LOSSY):
+        return False
+    return flags != {MaskFlags.all_valid}
 
 
 def _check_place(path: str, crs: str, corners: Float[Array, "4 2"]) -> None:
@@ -172,7 +187,11 @@ def _choose_bands(dataset: Any, bands: Sequence[int] | None, name: str) -> tuple
         kinds = list(dataset.colorinterp)
         rgb = [ColorInterp.red, ColorInterp.green, ColorInterp.blue]
         opaque = [i + 1 for i, kind in enumerate(kinds) if kind != ColorInterp.alpha]
-        if all(kind in kinds for kind in rgb):
+        # names come from who made the file; the interpretation may be a program's default
+        names = [(name or "").strip().lower() for name in dataset.descriptions]
+        if all(kind.name in names for kind in rgb):
+            bands = [names.index(kind.name) + 1 for kind in rgb]
+        elif all(kind in kinds for kind in rgb):
             bands = [kinds.index(kind) + 1 for kind in rgb]
         else:
             bands = opaque[:3] if len(opaque) >= 3 else opaque[:1]

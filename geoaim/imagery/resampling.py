@@ -149,7 +149,7 @@ def _read(
         alpha = _read_alpha(dataset, values, bands, part, method)
         named = dataset.colormap(bands[0]) if palette else {}
     if raster.nodata is not None and not raster.masked:
-        alpha = alpha * (values != np.float32(raster.nodata)).any(axis=0)
+        alpha = alpha * (values != _round([raster.nodata])).any(axis=0)
     if palette:
         colours = np.zeros((256, 4), np.float32)
         for index, colour in named.items():
@@ -157,7 +157,16 @@ def _read(
         expanded = colours[values[0].astype(int) & 255]
         values, alpha = np.moveaxis(expanded[..., :3], -1, 0), alpha * expanded[..., 3] / 255
     bad = ~np.isfinite(values).all(axis=0)
-    return np.where(bad, np.float32(0), values), np.where(bad, np.float32(0), alpha)
+    alpha = np.where(bad, np.float32(0), alpha)
+    if raster.inverted:
+        values = np.iinfo(raster.dtype).max - values
+    return np.where(alpha > 0, values, np.float32(0)), alpha  # nodata may be as large as can be
+
+
+def _round(nodata: Sequence[float]) -> Float32[Array, "c 1 1"]:
+    """Values of nodata as they are read; beyond the range of 32 bits they are infinite."""
+    with np.errstate(over="ignore"):
+        return np.array(nodata, np.float32)[:, None, None]
 
 
 def _read_alpha(
@@ -172,7 +181,7 @@ def _read_alpha(
     if flags == {MaskFlags.all_valid}:
         return np.ones(values.shape[1:], np.float32)
     if flags == {MaskFlags.nodata}:
-        nodata = np.array([dataset.nodatavals[band - 1] for band in bands], np.float32)
-        return (values != nodata[:, None, None]).any(axis=0).astype(np.float32)
+        nodata = _round([dataset.nodatavals[band - 1] for band in bands])
+        return (values != nodata).any(axis=0).astype(np.float32)
     masks = dataset.read_masks(list(bands), **part, resampling=method)
     return masks.max(axis=0) / np.float32(255)

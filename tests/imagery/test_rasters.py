@@ -1,3 +1,5 @@
+import warnings
+
 import cv2
 import numpy as np
 import pytest
@@ -40,6 +42,44 @@ def test_bands_are_chosen_by_colour_interpretation_or_number(tmp_path):
         read_imagery(path, world=WORLD, bands=[5])
     with pytest.raises(ValueError, match="one for grey or three"):
         read_imagery(path, world=WORLD, bands=[1, 2])
+
+
+def test_bands_are_chosen_by_their_names(tmp_path):
+    path = flat(tmp_path, constant(10, 20, 30, 40), alpha="no")
+    with rasterio.open(path, "r+") as dataset:
+        dataset.descriptions = ("Blue", "Green", "Red", "NIR")
+    assert (read_imagery(path, world=WORLD).image == [30, 20, 10]).all()
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16"])
+def test_white_that_is_0_is_white(tmp_path, dtype):
+    ramp = np.tile(np.arange(20, 120, dtype=dtype), (1, 80, 1))
+    path = flat(tmp_path, ramp, photometric="miniswhite")
+    row = read_imagery(path, world=WORLD).image[40, :, 0].astype(int)
+    assert row[5] > row[-5] + 80
+
+
+def test_black_that_jpeg_blurs_beside_nodata_shows_nothing(tmp_path):
+    bands = np.random.default_rng(0).integers(90, 160, (3, 256, 256), dtype=np.uint8)
+    bands[:, :40] = 0
+    path = flat(tmp_path, bands, nodata=255, compress="JPEG", photometric="YCBCR", tiled=True)
+    with pytest.warns(UserWarning, match="17% of the image is plain white or black"):
+        aim = read_imagery(path, world=WORLD)
+    assert not aim.coverage[:40].any()
+    assert aim.coverage[50:].all()
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_the_least_number_as_nodata_is_no_overflow(tmp_path, dtype):
+    bands = np.random.default_rng(0).uniform(0, 1, (1, 80, 80)).astype(dtype)
+    least = float(np.finfo(dtype).min)
+    bands[:, :20] = least
+    path = flat(tmp_path, bands, nodata=least)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        aim = read_imagery(path, world=WORLD)
+    assert not aim.coverage[:18].any()
+    assert aim.coverage[22:].all()
 
 
 def test_image_with_a_world_file_needs_a_crs(tmp_path):

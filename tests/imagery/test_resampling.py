@@ -22,7 +22,7 @@ from tests.imagery.painted_ground import (
 )
 
 FEET = "+proj=utm +zone=33 +datum=WGS84 +units=us-ft +no_defs"
-CRSES = ["EPSG:32633", "EPSG:32634", "EPSG:4326", "EPSG:3857", "EPSG:31256", "EPSG:2154"]
+CRSES = ["EPSG:32633", "EPSG:32634", "EPSG:4326", "EPSG:3857", "EPSG:31256", "EPSG:3416"]
 
 
 @pytest.mark.parametrize("crs", CRSES)

@@ -192,7 +192,10 @@ def test_corners_in_a_wrong_order_are_refused(corners, message):
     ("change", "message"),
     [
         ({"version": 2}, "version 2 of the corner frame"),
-        ({"width": 79}, "80 x 80 pixels, and texture.json states 79 x 80"),
+        ({"width": 79}, "by the corners and 79 pixels 0.2582 m"),
+        ({"width": 79, "pixel_width": 0.2582}, "80 x 80 pixels, and texture.json states 79 x 80"),
+        ({"pixel_height": 0.5}, "pixel_height is 0.5 m, and by the corners"),
+        ({"corners": [[0, 0], [20, 0], [20, 20], [0, 20]]}, "as in a mirror"),
         ({"image": "../texture.png"}, "the name of a file beside"),
         ({"corners": [[0, 0]] * 3}, "corners have shape"),
         ({"colour": "red"}, "the unknown key colour"),
