@@ -19,7 +19,14 @@ from geoaim.aim.files import write_aim
 from geoaim.aim.quicklook import draw_quicklook
 from geoaim.aim.rectification import rectify
 from geoaim.base.errors import GeoreferenceError, RegistrationError, TracksError, VideoError
-from geoaim.base.files import MAP_FILE, ROAD_FILES, TRACKS_FILE, atomic_folder, write_figure
+from geoaim.base.files import (
+    MAP_FILE,
+    REPORT_FILE,
+    ROAD_FILES,
+    TRACKS_FILE,
+    atomic_folder,
+    write_figure,
+)
 from geoaim.base.progress import Progress, notebook_progress, report_each
 from geoaim.base.world import World
 from geoaim.detection.scale import FRAMES, propose_scale
@@ -30,7 +37,7 @@ from geoaim.mapping.georeference.control_points import ControlPointSource
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.video.detections import DetectionSource
-from geoaim.mapping.video.video import Video, VideoSource, open_video
+from geoaim.mapping.video.video import Video, VideoSource, find_video_file, open_video
 from geoaim.rendering.pictures import render_map_video, write_pictures
 from geoaim.rendering.scene import make_scene
 from geoaim.tracking.pipeline import track_video
@@ -41,7 +48,7 @@ from geoaim.tracks.files import write_tracks
 from geoaim.tracks.lights import Lights, read_lights, read_stop_lines
 from geoaim.tracks.tracks import Tracks
 
-LOOK_FILE, FILM_FILE, REPORT_FILE = "map.png", "film.mp4", "report.json"
+LOOK_FILE, FILM_FILE = "map.png", "film.mp4"
 FILM_RATE = 10.0  # pictures per second
 MIN_PREDICTED_S = 1.0  # observed seconds from which models predict
 MIN_TRAINING_S = 60.0  # of tracks from which a model is trained with profit
@@ -140,7 +147,9 @@ def place_video(
         placed = _report(aim, tracks, evidence, reason)
         if lights is not None:
             placed.known.update({f"lights: {k}": v for k, v in lights.summarize().items()})
-        text = json.dumps({"known": placed.known, "missing": placed.missing}, indent=1)
+        source = find_video_file(opened.source)  # which `geoaim view` shows beside the map
+        report = {"video": source, "known": placed.known, "missing": placed.missing}
+        text = json.dumps(report, indent=1, default=str)
         (temporary / REPORT_FILE).write_text(text + "\n", encoding="utf-8")
     return placed
 

@@ -16,6 +16,7 @@ from geoaim.base.errors import GeoaimError, GeoaimWarning, VideoError
 from geoaim.base.geojson import Feature
 from geoaim.base.world import World
 from geoaim.cli import app
+from geoaim.cli.inputs import find_video
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.scale import check_scale
 from tests.geojson_files import write_features
@@ -57,9 +58,21 @@ def test_a_video_alone_gives_a_folder_with_all(junction):
     assert min(film.height, film.width) == 720
     assert "proposed" in result.known["scale"]
     report = json.loads((folder / "report.json").read_text("utf-8"))
+    assert report.pop("video") is None  # these frames are in no file
     assert report == {"known": result.known, "missing": result.missing}
     assert {"a place in the world", "an exact scale", "training"} <= set(result.missing)
     assert "60 s" in result.missing["training"]
+
+
+def test_the_report_tells_the_viewer_where_the_video_is(tmp_path):
+    (tmp_path / "a.mp4").write_bytes(b"")
+    for source, video in (("a.mp4", "a.mp4"), ("a.mp4#t=8.5,24", "a.mp4"), ("b.mp4", None)):
+        report = {"video": str(tmp_path / source)}
+        (tmp_path / "report.json").write_text(json.dumps(report))
+        expected = None if video is None else tmp_path / video
+        assert find_video(tmp_path / "map.tif") == expected
+    (tmp_path / "report.json").write_text('["of another program"]')
+    assert find_video(tmp_path / "map.tif") is None
 
 
 def test_commands_take_the_folder(junction, tmp_path):

@@ -162,7 +162,7 @@ def check_new_folder(folder: Path) -> None:
 
 
 # in a folder that `geoaim place` wrote; those of the roads only where they were given
-MAP_FILE, TRACKS_FILE = "map.tif", "tracks.csv"
+MAP_FILE, TRACKS_FILE, REPORT_FILE = "map.tif", "tracks.csv", "report.json"
 ROAD_FILES = {"lights": "lights.csv", "hdmap": "map.osm", "stop_lines": "stop_lines.geojson"}
 
 

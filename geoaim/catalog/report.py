@@ -12,6 +12,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from geoaim.aim.summary import summarize_report
+from geoaim.base.pages import read_page_style
 from geoaim.base.texts import plot_text
 from geoaim.catalog.recordings import VERSION
 from geoaim.catalog.records import FOLDER, LOOK, MAP, Record, Status
@@ -19,12 +20,15 @@ from geoaim.catalog.records import FOLDER, LOOK, MAP, Record, Status
 REPORT = "report.json"
 PAGE = "report.html"
 MAX_NAMED_PLACES = 40  # names that are shown on the map of places
-COLOURS: dict[Status, str] = {"built": "#1a7f37", "refused": "#b35900", "failed": "#b00020"}
+# kinds of a record in the order of the page, and their colours of geoaim/base/page.css
+COLOURS: dict[Status, str] = {"built": "good", "refused": "doubt", "failed": "wrong"}
+PLACE_COLOUR = "#1a7f37"
 STYLE = (
-    "body{font:15px/1.4 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em}"
+    ".geoaim-report{max-width:1100px;margin:2em auto;padding:0 1em;font-size:15px}"
     "table{border-collapse:collapse;width:100%}td,th{text-align:left;vertical-align:top;"
-    "padding:.4em .6em;border-top:1px solid #ddd}img{width:260px}small{color:#555}"
-    ".places svg{width:100%;height:auto}"
+    "padding:.4em .6em;border-top:1px solid var(--line)}td img{width:260px;max-width:100%}"
+    "small{color:var(--muted)}.good{color:var(--good)}.doubt{color:var(--doubt)}"
+    ".wrong{color:var(--wrong)}.places svg{width:100%;height:auto;background:#fff}"
 )
 
 
@@ -61,11 +65,13 @@ def format_page(records: Sequence[Record]) -> str:
     line = ", ".join(f"{counts[status]} {status}" for status in COLOURS if counts[status])
     ordered = sorted(records, key=lambda record: (-list(COLOURS).index(record.status), record.name))
     return (
-        f"<!doctype html><html lang=en><meta charset=utf-8><title>Maps by geoaim</title>"
-        f"<style>{STYLE}</style><h1>{len(records)} recordings: {line}</h1>"
+        f"<!doctype html><html lang=en class=geoaim-report><meta charset=utf-8>"
+        f"<meta name=viewport content='width=device-width'><title>Maps by geoaim</title>"
+        f"<style>{read_page_style()}{STYLE}</style><main><h1>{len(records)} recordings: {line}</h1>"
         f"<p>geoaim {escape(VERSION)}; {total / 3600:.2f} hours of processor time</p>"
         f"<div class=places>{_draw_places(records)}</div><table>"
-        f"{''.join(map(_format_row, ordered))}</table></html>"
+        f"<tr><th>map<th>recording<th>what is known{''.join(map(_format_row, ordered))}"
+        f"</table></main></html>"
     )
 
 
@@ -73,14 +79,14 @@ def _format_row(record: Record) -> str:
     folder, colour = f"{FOLDER}/{escape(record.name)}", COLOURS[record.status]
     picture = ""
     if record.status == "built":
-        look = f"<img loading=lazy src='{folder}/{LOOK}' alt='quick look'>"
+        look = f"<img loading=lazy src='{folder}/{LOOK}' alt='map of {escape(record.name)}'>"
         picture = f"<a href='{folder}/{MAP}'>{look}</a>"
     lines = [f"{name}: {value}" for name, value in summarize_report(record.report).items()]
     facts = "<br>".join(map(escape, [record.reason, *lines] if record.reason else lines))
     notes = "".join(f"<br><small>warning: {escape(text)}</small>" for text in record.warnings)
     return (
         f"<tr><td>{picture}<td><b>{escape(record.name)}</b><br>"
-        f"<span style='color:{colour}'>{record.status}</span>"
+        f"<span class={colour}>{record.status}</span>"
         f"<br><small>{record.seconds:.0f} s</small>"
         f"<td>{facts}{notes}"
     )
@@ -94,7 +100,7 @@ def _draw_places(records: Sequence[Record]) -> str:
     places = np.array([np.mean(record.grid["corners_lonlat"], axis=0) for record in placed])
     figure = Figure(figsize=(10, 5), layout="constrained")
     axes = figure.add_subplot()
-    axes.plot(*places.T, "o", color=COLOURS["built"], markersize=5, alpha=0.7)
+    axes.plot(*places.T, "o", color=PLACE_COLOUR, markersize=5, alpha=0.7)
     if len(placed) <= MAX_NAMED_PLACES:
         for record, place in zip(placed, places, strict=True):
             axes.annotate(
@@ -108,4 +114,6 @@ def _draw_places(records: Sequence[Record]) -> str:
     with rc_context({"svg.hashsalt": "geoaim"}):  # the same catalogue gives the same page
         figure.savefig(text, format="svg", metadata={"Date": None})
     svg = text.getvalue()
-    return svg[svg.index("<svg") :]
+    return svg[svg.index("<svg") :].replace(
+        "<svg", "<svg role='img' aria-label='where the recordings lie'", 1
+    )

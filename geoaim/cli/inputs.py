@@ -2,6 +2,7 @@
 
 import csv
 import inspect
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import wraps
@@ -235,6 +236,18 @@ def find_roads(folder: Path, given: Mapping[str, Path | None]) -> dict[str, Path
 
     found = {name: find_in_folder(folder, ROAD_FILES[name]) for name in given}
     return {name: given[name] or (None if file == folder else file) for name, file in found.items()}
+
+
+def find_video(aim: Path) -> Path | None:
+    """Find the video of a map in a folder of `geoaim place` by its report, if it is still there."""
+    from geoaim.base.files import REPORT_FILE
+    from geoaim.mapping.video.video import find_video_file
+
+    try:
+        report = json.loads((aim.parent / REPORT_FILE).read_text(encoding="utf-8"))
+        return find_video_file(report["video"])
+    except (OSError, ValueError, KeyError, TypeError):  # of another program, or an earlier version
+        return None
 
 
 COLUMNS = tuple(field.name for field in fields(SceneSource))

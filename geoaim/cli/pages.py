@@ -25,6 +25,12 @@ def view(
     futures: Annotated[
         Path | None, typer.Option(help="futures that `geoaim predict -o futures.csv` wrote")
     ] = None,
+    video: Annotated[
+        str | None,
+        typer.Option(
+            help="video of the tracks, beside the map; that of a folder of place if omitted"
+        ),
+    ] = None,
     html: Annotated[
         Path | None, typer.Option(help=".html to write: the view in one file, to send to others")
     ] = None,
@@ -42,7 +48,8 @@ def view(
     from contextlib import ExitStack
     from dataclasses import replace
 
-    from geoaim.cli.inputs import read_contents
+    from geoaim.cli.inputs import find_video, read_contents
+    from geoaim.mapping.video.video import find_video_file
     from geoaim.web.explore import make_map_view, read_map_world
     from geoaim.web.map_view import write_html
 
@@ -51,7 +58,10 @@ def view(
             check_output(html, (".html",), [aim, tracks, futures])
         source = SceneSource(aim, tracks, **files)
         contents = read_contents(source, read_map_world(aim), drivable)
-        contents = replace(contents, imagery=imagery or None, futures=futures)
+        film = find_video(aim) if video is None else find_video_file(video)
+        if film is None and video is not None:
+            raise FileNotFoundError(f"{video}: no such file; a video file can be beside the map")
+        contents = replace(contents, imagery=imagery or None, futures=futures, video=film)
         shown = make_map_view(aim, contents, stack)
         if html is None:
             serve_page(shown, browser=browser)

@@ -4,7 +4,7 @@ import { existsSync, readdirSync, readFileSync, writeFileSync } from "node:fs";
 import { build } from "esbuild";
 
 // names and contents of the sources; tests compare it with the first line of the bundle
-const names = [...readdirSync("src").sort().map((name) => `src/${name}`), "build.mjs", "package-lock.json"];
+const names = [...readdirSync("src").sort().map((name) => `src/${name}`), "../base/page.css", "build.mjs", "package-lock.json"];
 const hash = createHash("sha256");
 for (const name of names) hash.update(`${name}\n`).update(readFileSync(name, "utf8").replaceAll("\r\n", "\n"));
 

@@ -53,6 +53,7 @@ class Contents:
             `geoaim.read_imagery` reads.
         futures: the result of `predict`, or a file that `geoaim predict -o futures.csv` wrote; in
             the map's world.
+        video: of which the tracks are, beside the map and in step; only a served page shows it.
     """
 
     tracks: Tracks | None = None
@@ -61,6 +62,7 @@ class Contents:
     drivable: MultiPolygon | None = None
     imagery: ImagerySource | None = None
     futures: FuturesSource | None = None
+    video: Path | None = None
 
 
 def read_contents(
@@ -118,9 +120,11 @@ def make_map_view(aim: MapSource, contents: Contents, stack: ExitStack) -> MapVi
             "pixels_from_world": grid.grid_from_world.tolist(),
             "rasters": items,
             "shapes": _describe_shapes(contents),
+            "video": None if contents.video is None else contents.video.name,
             "moving": {},
         },
         rasters=rasters,
+        video=contents.video,
     )
     return _add_moving(view, aim, contents, world)
 

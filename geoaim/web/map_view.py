@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
@@ -42,6 +43,7 @@ class MapView:
         agent_view: PNG or JPEG of what surrounds an agent, from its id and the index of a time;
             None: there is none.
         call: answers an action of the page; None: the page only shows.
+        video: shown beside the map, by a server alone; None: there is none.
     """
 
     description: Mapping[str, Any]
@@ -49,6 +51,7 @@ class MapView:
     data: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
     agent_view: Callable[[str, int], bytes] | None = None
     call: Callable[[Mapping[str, Any]], Reply] | None = None
+    video: Path | None = None
 
     def read(self, path: str) -> bytes:
         """Read what the description names, or "description.json" itself.
@@ -71,7 +74,7 @@ class MapView:
 
 def read_embedded(view: MapView) -> dict[str, bytes]:
     """Read all that an HTML file holds: without views of agents, and with coarser tiles."""
-    shown: dict[str, Any] = dict(view.description, agent_views=False)
+    shown: dict[str, Any] = dict(view.description, agent_views=False, video=None)
     files = {path: make() for path, make in view.data.items()}
     shown["rasters"] = []
     for item in view.description["rasters"]:

@@ -1,11 +1,13 @@
 """Moving layers of the viewer: tracks, traffic lights, futures and infractions."""
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pandas as pd
 import torch
@@ -28,13 +30,15 @@ from geoaim.tracks.lights import Lights
 from geoaim.tracks.tracks import Tracks
 from geoaim.web.tiles import encode_picture
 
+SPEED_COLOURS = [to_hex(colour) for colour in matplotlib.colormaps["plasma"](np.linspace(0, 1, 9))]
+SPEED_STEP_KMH = 10  # the scale of speeds ends at a multiple of it
 SHOWN_INFRACTIONS = ("collision", "off road", "red light")
 STEPS_AT_ONCE = 500  # steps that are searched for infractions at once
 Description = dict[str, Any]
 
 
 def describe_tracks(tracks: Tracks) -> tuple[Description, dict[str, Callable[[], bytes]]]:
-    """Describe tracks, with their data: float64 times, and float32 x, y, heading of each agent."""
+    """Describe tracks, with their data: float64 times, float32 x, y, heading, speed."""
     places = tracks.states[..., :2][tracks.present]
     origin = places.mean(axis=0).round() if len(places) else np.zeros(2)
     agents, parts = [], []
@@ -43,8 +47,8 @@ def describe_tracks(tracks: Tracks) -> tuple[Description, dict[str, Callable[[],
         if not len(steps):
             continue
         first, stop = int(steps[0]), int(steps[-1]) + 1
-        states = np.where(present[:, None], tracks.states[row, :, :3], np.nan)[first:stop]
-        parts.append((states - [*origin, 0.0]).astype("<f4"))
+        states = np.where(present[:, None], tracks.states[row], np.nan)[first:stop]
+        parts.append((states - [*origin, 0.0, 0.0]).astype("<f4"))
         length, width = np.round(tracks.sizes[row], 2).tolist()
         agents.append(
             {
@@ -57,7 +61,7 @@ def describe_tracks(tracks: Tracks) -> tuple[Description, dict[str, Callable[[],
             }
         )
     data: dict[str, Callable[[], bytes]] = {
-        "tracks": np.concatenate(parts or [np.empty((0, 3), "<f4")]).tobytes,
+        "tracks": np.concatenate(parts or [np.empty((0, 4), "<f4")]).tobytes,
         "times": tracks.times.astype("<f8").tobytes,
     }
     return {
@@ -66,7 +70,15 @@ def describe_tracks(tracks: Tracks) -> tuple[Description, dict[str, Callable[[],
         "origin": origin.tolist(),
         "agents": agents,
         "colours": {kind: to_hex(get_colour(kind)) for kind in dict.fromkeys(tracks.types)},
+        "speeds": _describe_speeds(tracks),
     }, data
+
+
+def _describe_speeds(tracks: Tracks) -> Description:
+    """Describe the colours of speeds, from rest to the fastest agent."""
+    fastest = float(tracks.states[..., 3][tracks.present].max(initial=0.0))
+    most = max(1, math.ceil(3.6 * fastest / SPEED_STEP_KMH)) * SPEED_STEP_KMH
+    return {"from": 0, "to": most, "unit": "km/h", "colours": SPEED_COLOURS}
 
 
 def describe_lights(lights: Lights, world: World) -> Description:

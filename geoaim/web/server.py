@@ -3,12 +3,16 @@
 import asyncio
 import json
 import logging
+import mimetypes
+import re
 import secrets
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from http import HTTPStatus
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -26,13 +30,15 @@ MAX_HEADER_BYTES = 65_536
 REQUEST_S = 10.0  # a client that sends its request more slowly is cut off
 ANSWERS_AT_ONCE = 4
 # the server stops after this time without any page; a page that is reloaded comes back
+CHUNK_BYTES = 1 << 18  # of a video, sent at once
+RANGE = re.compile(r"bytes=(\d{1,18})-(\d{1,18})?")
 CLOSED_S = 2.0
 ALIVE_PERIOD_S = 0.5
 HEADERS = {
     "Cache-Control": "no-store",
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; "
-        "img-src 'self' blob: data:; connect-src 'self'; frame-ancestors 'none'"
+        "img-src 'self' blob: data:; media-src 'self'; connect-src 'self'; frame-ancestors 'none'"
     ),
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
@@ -138,6 +144,8 @@ class _Handler(RequestHandler):
             self._send(read_module().encode(), "text/javascript")
         elif path == "alive":
             await self._stay_alive()
+        elif path == "video" and view.video is not None:
+            await self._send_video(view.video)
         else:
             await self._answer(lambda: view.read(path), "application/octet-stream")
 
@@ -176,6 +184,31 @@ class _Handler(RequestHandler):
     def write_error(self, status_code: int, **_: Any) -> None:
         """Answer what went wrong without its traceback."""
         self._refuse(HTTPStatus(status_code), HTTPStatus(status_code).phrase)
+
+    async def _send_video(self, path: Path) -> None:
+        """Send a video from the byte on that the player asks for, as far as it listens."""
+        try:
+            file, size = path.open("rb"), path.stat().st_size
+        except OSError:
+            return self._refuse(HTTPStatus.NOT_FOUND, f"{path.name} is not there any more")
+        asked = RANGE.fullmatch(self.request.headers.get("Range", ""))
+        first = int(asked[1]) if asked else 0
+        last = min(int(asked[2]), size - 1) if asked and asked[2] else size - 1
+        with file:
+            if first > last:
+                self.set_header("Content-Range", f"bytes */{size}")
+                return self._refuse(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, "no such bytes")
+            self.set_status(HTTPStatus.PARTIAL_CONTENT if asked else HTTPStatus.OK)
+            if asked:
+                self.set_header("Content-Range", f"bytes {first}-{last}/{size}")
+            self.set_header("Accept-Ranges", "bytes")
+            self.set_header("Content-Type", mimetypes.guess_type(path)[0] or "video/mp4")
+            self.set_header("Content-Length", str(last + 1 - first))
+            file.seek(first)
+            with suppress(StreamClosedError):  # players ask anew where they seek
+                for begin in range(first, last + 1, CHUNK_BYTES):
+                    self.write(file.read(min(CHUNK_BYTES, last + 1 - begin)))
+                    await self.flush()
 
     async def _stay_alive(self) -> None:
         """Send comments until the page is gone."""

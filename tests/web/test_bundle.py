@@ -12,7 +12,7 @@ WEB = Path(geoaim.__file__).parent / "web"
 def test_the_bundle_is_that_of_the_sources():
     names = [f"src/{name}" for name in sorted(path.name for path in (WEB / "src").iterdir())]
     digest = hashlib.sha256()
-    for name in [*names, "build.mjs", "package-lock.json"]:
+    for name in [*names, "../base/page.css", "build.mjs", "package-lock.json"]:
         text = (WEB / name).read_text(encoding="utf-8")
         digest.update(f"{name}\n{text}".encode())
     first = (WEB / "geoaim.js").read_text(encoding="utf-8").split("\n", 1)[0]

@@ -13,7 +13,7 @@ from geoaim.base.world import world_from_lonlat
 from tests.web.browser import wait_for
 
 ROOT = Path(__file__).parents[2]
-SIZES = ({"width": 1280, "height": 800}, {"width": 900, "height": 700})
+SIZES = ({"width": 1280, "height": 720}, {"width": 900, "height": 700})
 # controls that are off the page, narrower than their text, or lie under something else
 FAULTS = """[...document.querySelectorAll("button, input, select, summary, label")]
     .filter((item) => item.checkVisibility() && !item.matches(".mark, .scroll *, .ol-control *"))

@@ -32,7 +32,7 @@ def test_the_description_names_only_what_can_be_read(view):
         assert len(view.read(f"{raster['path']}/0/0/0")) > 100
     tracks = shown["moving"]["tracks"]
     states = np.frombuffer(view.read(tracks["path"]), "<f4")
-    assert len(states) == 3 * sum(agent["steps"] for agent in tracks["agents"])
+    assert len(states) == 4 * sum(agent["steps"] for agent in tracks["agents"])
     assert len(view.read(tracks["times"])) == 8 * 601
     for path in ("nothing", "aim_image/9/0/0", "aim_image/0/0", "agent_views/none/0", "../aim"):
         with pytest.raises((KeyError, TracksError)):
@@ -41,13 +41,13 @@ def test_the_description_names_only_what_can_be_read(view):
 
 def test_packed_tracks_are_those_given(contents):
     described, data = describe_tracks(contents.tracks)
-    states = np.frombuffer(data["tracks"](), "<f4").reshape(-1, 3)
+    states = np.frombuffer(data["tracks"](), "<f4").reshape(-1, 4)
     begin = 0
     for row, agent in enumerate(described["agents"]):
-        origin = np.array([*described["origin"], 0.0])
+        origin = np.array([*described["origin"], 0.0, 0.0])
         part = states[begin : begin + agent["steps"]] + origin
         begin += agent["steps"]
-        true = contents.tracks.states[row, agent["first"] : agent["first"] + agent["steps"], :3]
+        true = contents.tracks.states[row, agent["first"] : agent["first"] + agent["steps"]]
         np.testing.assert_allclose(part, true, atol=1e-4)
 
 

@@ -54,6 +54,29 @@ def test_its_own_page_gets_everything(server):
     assert json.loads(content) == SECRET
 
 
+def test_a_player_gets_the_bytes_of_a_video_that_it_asks_for(tmp_path):
+    content = bytes(range(256)) * 4000
+    (tmp_path / "hover.mp4").write_bytes(content)
+    view = MapView(SECRET, video=tmp_path / "hover.mp4")
+    with ViewServer(view) as started:
+        path = f"/{started.token}/video"
+        for asked, expected, place in (
+            ("bytes=0-", content, f"bytes 0-{len(content) - 1}"),
+            ("bytes=700000-", content[700000:], f"bytes 700000-{len(content) - 1}"),
+            ("bytes=5-8", content[5:9], "bytes 5-8"),
+        ):
+            status, answer, headers = ask(started, path, Range=asked)
+            assert (status, answer) == (206, expected)
+            assert headers["Content-Range"] == f"{place}/{len(content)}"
+            assert headers["Content-Type"] == "video/mp4"
+        assert ask(started, path, Range=f"bytes={len(content)}-")[0] == 416
+        assert ask(started, path)[:2] == (200, content)
+        (tmp_path / "hover.mp4").unlink()
+        assert ask(started, path)[0] == 404
+    with ViewServer(MapView(SECRET)) as without:
+        assert ask(without, f"/{without.token}/video")[0] == 404
+
+
 def test_it_listens_on_this_machine_alone(server):
     assert server.server_address[0] == "127.0.0.1"
 

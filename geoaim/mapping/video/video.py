@@ -137,6 +137,12 @@ class Video:
 VideoSource = str | Path | Video | Sequence[str | Path] | Iterable[Array]
 
 
+def find_video_file(source: str) -> Path | None:
+    """Find the file of a video or of a part of one, whose times are those of the whole."""
+    path = Path(source if os.path.exists(source) else PART.sub("", source))
+    return path.absolute() if path.is_file() else None
+
+
 def read_frame(video: Video, time: float) -> Frame:
     """Read the frame that a video shows at a time, seconds; of a part at least its first one.
 

@@ -1,15 +1,16 @@
 /** A layer that draws what moves: agents, traffic lights and predicted futures. */
 import Layer from "ol/layer/Layer.js";
-import { findStep, getBox, getPose } from "./tracks.js";
+import { findStep, getBox, getPose, getSpeed, isPresent } from "./tracks.js";
 
 export const SELECTED_COLOUR = "#ff6a00";
 const UNKNOWN_COLOUR = "#9a9a9a";
 export const FUTURE_COLOUR = "rgba(255, 106, 0, 0.55)";
 const LIGHT_WIDTH_M = 0.8;
-const TRAIL_S = 2;
+const TRAIL_S = 5;
+const LEAST_PX = 9; // length of agents that are seen from far
 const SAME_TIME_S = 1e-3; // times of files are rounded to milliseconds
 
-/** Draws a state: {tracks, lights, futures, time, selected, shown}; call `changed()` after a change. */
+/** Draws a state: {tracks, lights, futures, time, selected, colouring, shown}; call `changed()` after a change. */
 export class AgentsLayer extends Layer {
   constructor(state) {
     super({ zIndex: 10 });
@@ -70,20 +71,29 @@ export class AgentsLayer extends Layer {
   }
 
   drawAgents(context, tracks, pixel) {
-    const { time, selected } = this.state;
+    const { time, selected, colouring, shown } = this.state;
+    const trails = shown("trails");
+    const { from, to, colours } = tracks.speeds;
+    const getSpeedColour = (speed) => {
+      const share = (3.6 * (speed ?? 0) - from) / (to - from);
+      return colours[Math.round(Math.min(Math.max(share, 0), 1) * (colours.length - 1))];
+    };
+    const getColour = (agent) =>
+      colouring === "speed" ? getSpeedColour(getSpeed(tracks, agent, time)) : tracks.colours[agent.type];
     const boxes = new Map();
     for (const agent of tracks.agents) {
       const pose = getPose(tracks, agent, time);
       if (!pose) continue;
       const own = agent === selected;
-      const colour = own ? SELECTED_COLOUR : tracks.colours[agent.type];
+      const colour = own ? SELECTED_COLOUR : getColour(agent);
       if (!boxes.has(colour)) boxes.set(colour, new Path2D());
       const path = boxes.get(colour);
-      getBox(pose, agent.length, agent.width).forEach((corner, index) =>
+      const scale = Math.max(1, (LEAST_PX * pixel) / Math.max(agent.length, agent.width));
+      getBox(pose, scale * agent.length, scale * agent.width).forEach((corner, index) =>
         index ? path.lineTo(...corner) : path.moveTo(...corner),
       );
       path.closePath();
-      if (own) this.drawTrail(context, tracks, agent, pixel);
+      if (own || trails) this.drawTrail(context, tracks, agent, colour, pixel);
     }
     context.strokeStyle = "white";
     context.lineWidth = Math.min(0.15, pixel);
@@ -94,14 +104,21 @@ export class AgentsLayer extends Layer {
     }
   }
 
-  drawTrail(context, tracks, agent, pixel) {
+  drawTrail(context, tracks, agent, colour, pixel) {
+    const { times, origin } = tracks;
+    const { time } = this.state;
     context.lineWidth = Math.max(0.3, 2 * pixel);
-    context.strokeStyle = SELECTED_COLOUR;
+    context.strokeStyle = colour;
     context.beginPath();
-    for (let back = TRAIL_S; back >= 0; back -= 0.1) {
-      const pose = getPose(tracks, agent, this.state.time - back);
-      if (pose) context.lineTo(pose[0], pose[1]);
+    const begin = Math.max(findStep(times, time - TRAIL_S), agent.first);
+    const end = Math.min(findStep(times, time), agent.first + agent.steps - 1);
+    for (let step = begin; step <= end; step++) {
+      const at = 4 * (step - agent.first);
+      if (!isPresent(agent, step - agent.first)) continue;
+      context.lineTo(agent.states[at] + origin[0], agent.states[at + 1] + origin[1]);
     }
+    const pose = getPose(tracks, agent, time);
+    if (pose) context.lineTo(pose[0], pose[1]);
     context.stroke();
   }
 }

@@ -21,6 +21,18 @@ export function formatMetres(value) {
   return value < 0.01 ? "under 1 cm" : `${value.toFixed(2)} m`;
 }
 
+/** Write a speed in m/s, and in km/h. */
+export function formatSpeed(speed) {
+  return `${speed.toFixed(1)} m/s (${(3.6 * speed).toFixed(0)} km/h)`;
+}
+
+/** Save a text as a file of the browser. */
+export function saveText(name, text) {
+  const link = make("a", { href: URL.createObjectURL(new Blob([text])), download: name });
+  link.click();
+  URL.revokeObjectURL(link.href);
+}
+
 /** Make a labelled checkbox that calls `change` with its state. */
 export function makeCheckbox(label, checked, change, swatch = null) {
   const input = make("input", { type: "checkbox", checked });

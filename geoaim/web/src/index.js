@@ -1,5 +1,6 @@
 /** The viewer as one module: a page of its own, and a Jupyter widget (anywidget). */
 import olStyle from "ol/ol.css";
+import pageStyle from "../../base/page.css";
 import style from "./style.css";
 import { make } from "./dom.js";
 import { embeddedTransport, readJson, serverTransport, widgetTransport } from "./transport.js";
@@ -11,7 +12,7 @@ const APPS = { view: showView, pick: showPicking };
 /** Show what a transport describes in an element. */
 export async function mount(element, transport, options = {}) {
   if (!document.getElementById("geoaim-style")) {
-    document.head.append(make("style", { id: "geoaim-style" }, olStyle + style));
+    document.head.append(make("style", { id: "geoaim-style" }, olStyle + pageStyle + style));
   }
   element.classList.add("geoaim");
   try {

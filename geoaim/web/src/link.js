@@ -11,6 +11,7 @@ export function writeLink({ view, timeline, state }, hidden) {
   if (timeline) values.set("time", timeline.time.toFixed(2));
   if (state.selected) values.set("agent", state.selected.id);
   if (state.follow) values.set("follow", "1");
+  if (state.colouring !== "type") values.set("colour", state.colouring);
   if (hidden.size) values.set("hidden", [...hidden].join(","));
   history.replaceState(null, "", `#${values}`);
 }
@@ -20,7 +21,9 @@ export function readLink(app) {
   const values = new URLSearchParams(location.hash.slice(1));
   if (!values.has("x")) return;
   const { view, timeline } = app;
-  for (const name of values.get("hidden")?.split(",") ?? []) app.layers[name]?.(false);
+  const hidden = values.get("hidden")?.split(",") ?? [];
+  for (const [name, show] of Object.entries(app.layers)) show(!hidden.includes(name));
+  if (values.get("colour") === "speed") app.colour?.("speed");
   if (timeline && values.has("time")) timeline.set(Number(values.get("time")));
   if (values.has("agent")) app.select(values.get("agent"));
   view.setCenter([Number(values.get("x")), Number(values.get("y"))]);

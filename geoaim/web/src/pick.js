@@ -1,5 +1,5 @@
 /** Picking of control points: pixels of a frame, and their places on imagery or typed. */
-import { formatMetres, make, makeCheckbox } from "./dom.js";
+import { formatMetres, make, makeCheckbox, saveText } from "./dom.js";
 import { addShortcuts } from "./keys.js";
 import { invert, linearize, project } from "./homography.js";
 import { PixelMap } from "./pixel_map.js";
@@ -23,10 +23,10 @@ function makeRing({ u, v, axes_px: axes }) {
 
 /** Show a description (of `kind` "pick") in an element; returns what tests drive. */
 export async function showPicking(element, description, transport, { keys = element } = {}) {
-  const frameElement = make("div", { className: "map", title: "frame" });
-  const imageryElement = make("div", { className: "map", title: "imagery" });
+  const makeSide = (name) => make("div", { className: "map pickable", tabIndex: 0, role: "application", ariaLabel: `${name}: arrow keys move it, + and − zoom` });
+  const [frameElement, imageryElement] = [makeSide("frame"), makeSide("imagery")];
   const table = make("table", { className: "points" });
-  const message = make("div", { className: "message" });
+  const message = make("div", { className: "message", role: "status", tabIndex: 0 });
   const bar = make("div", { className: "bar" });
   const sides = make("div", { className: "sides" }, make("div", { className: "stage" }, frameElement));
   if (description.imagery) sides.append(make("div", { className: "stage" }, imageryElement));
@@ -135,9 +135,7 @@ export async function showPicking(element, description, transport, { keys = elem
     button(name, `save the points as ${name}`, async () => {
       const { text } = await ask({ action: "export", format: kind });
       if (text === undefined) return;
-      const link = make("a", { href: URL.createObjectURL(new Blob([text])), download: name });
-      link.click();
-      URL.revokeObjectURL(link.href);
+      saveText(name, text);
     });
   }
 
@@ -173,8 +171,8 @@ export async function showPicking(element, description, transport, { keys = elem
     return parts.join(" ");
   };
 
-  const edit = (value, change) => {
-    const input = make("input", { value, size: 12 });
+  const edit = (ariaLabel, value, change) => {
+    const input = make("input", { ariaLabel, value, size: 12 });
     input.addEventListener("change", () => change(input.value, input));
     return input;
   };
@@ -200,15 +198,15 @@ export async function showPicking(element, description, transport, { keys = elem
       const { x = numbers.x, y = numbers.y } = app.typed;
       if (Number.isFinite(x) && Number.isFinite(y) && x !== null && y !== null) ask({ action: "move", id: point.id, x, y });
     };
-    const remove = make("button", { title: "Delete" }, "✕");
+    const remove = make("button", { title: `delete ${point.name}`, ariaLabel: `delete ${point.name}` }, "✕");
     remove.addEventListener("click", () => ask({ action: "delete", id: point.id }));
     const digits = lonlat ? 8 : 3;
     const cells = [
-      edit(point.name, (name) => ask({ action: "rename", id: point.id, name })),
+      edit(`name of ${point.name}`, point.name, (name) => ask({ action: "rename", id: point.id, name })),
       format(point.u, 2),
       format(point.v, 2),
-      edit(format(point.x, digits), typed("x")),
-      edit(format(point.y, digits), typed("y")),
+      edit(`${lonlat ? "longitude" : "x"} of ${point.name}`, format(point.x, digits), typed("x")),
+      edit(`${lonlat ? "latitude" : "y"} of ${point.name}`, format(point.y, digits), typed("y")),
       format(residual?.distance_m, 3),
       format(residual && Math.hypot(...residual.residual_px), 2),
       format(residual?.leave_one_out_m, 3),
@@ -250,7 +248,7 @@ export async function showPicking(element, description, transport, { keys = elem
     app.imagery?.show([...rings, ...proposed("image_u", "image_v"), ...known.map(mark("image_u", "image_v"))]);
     const [x, y] = state.crs === "EPSG:4326" ? ["lon", "lat"] : ["x, m", "y, m"];
     const titles = ["name", "u", "v", x, y, "residual, m", "px", "leave-one-out, m", ""];
-    const head = make("tr", {}, ...titles.map((title) => make("th", {}, title)));
+    const head = make("tr", {}, ...titles.map((title) => make(title ? "th" : "td", {}, title)));
     table.replaceChildren(head, ...points.map((point) => makeRow(point, residuals.get(point.name), kindOf(point))));
     accuracy.value = Number(state.accuracy.toPrecision(3));
     undo.disabled = !state.can_undo;

@@ -8,13 +8,14 @@ const MARK_COLOURS = { "off road": "#8d5a00", collision: "#c1121f", "red light":
 /** Make a time line from `begin` to `end` (s) that calls `seek(time)`. */
 export class Timeline {
   constructor(begin, end, seek) {
+    this.clock = () => null; // the time of what leads while it plays, such as a video; null: nothing
     Object.assign(this, { begin, end, seek, time: begin, speed: 1, playing: false });
-    this.play = make("button", { className: "play", title: "Play or pause (space)" }, "▶");
+    this.play = make("button", { className: "play", title: "Play or pause (space)", ariaLabel: "Play" }, "▶");
     this.slider = make("input", { type: "range", min: begin, max: end, step: "any", value: begin });
     this.slider.setAttribute("aria-label", "time");
     this.label = make("output", { className: "time" });
     const options = SPEEDS.map((speed) => make("option", { value: speed, selected: speed === 1 }, `${speed} ×`));
-    this.speeds = make("select", { title: "Playback speed" }, ...options);
+    this.speeds = make("select", { title: "Playback speed", ariaLabel: "Playback speed" }, ...options);
     this.marks = make("div", { className: "marks" });
     const track = make("div", { className: "track" }, this.marks, this.slider);
     this.element = make("div", { className: "timeline" }, this.play, track, this.label, this.speeds);
@@ -35,12 +36,13 @@ export class Timeline {
   toggle(playing = !this.playing) {
     this.playing = playing;
     this.play.textContent = playing ? "❚❚" : "▶";
-    if (!playing) return;
+    this.play.ariaLabel = playing ? "Pause" : "Play";
+    if (!playing) return this.seek(this.time);
     if (this.time >= this.end) this.set(this.begin);
     let last = null;
     const advance = (now) => {
       if (!this.playing) return;
-      if (last !== null) this.set(this.time + ((now - last) / 1000) * this.speed);
+      if (last !== null) this.set(this.clock() ?? this.time + ((now - last) / 1000) * this.speed);
       last = now;
       if (this.time >= this.end) return this.toggle(false);
       requestAnimationFrame(advance);
@@ -62,7 +64,7 @@ export class Timeline {
       const style = `left:${(100 * place) / MARK_PLACES}%;background:${MARK_COLOURS[kind] ?? "#555"}`;
       const others = group.length > 1 ? ` and ${group.length - 1} more` : "";
       const title = `${kind}: agent ${agent} at ${time.toFixed(1)} s${others}`;
-      const tick = make("button", { className: "mark", style, title });
+      const tick = make("button", { className: "mark", style, title, tabIndex: -1 });
       let next = 0; // each click shows the next one of the group
       tick.addEventListener("click", () => select(group[next++ % group.length]));
       this.marks.append(tick);

@@ -3,9 +3,9 @@
 /**
  * Decode tracks.
  *
- * The description has `times` (path of float64 seconds), `path` (float32 x, y, heading of each
- * agent's steps, one agent after the other, metres from `origin`; NaN while absent), `agents`, and
- * `colours` by the type of an agent.
+ * The description has `times` (path of float64 seconds), `path` (float32 x, y, heading, speed of
+ * each agent's steps, one agent after the other, metres from `origin` and per second; NaN while
+ * absent), `agents`, `colours` by the type of an agent, and the scale of `speeds`.
  */
 export async function readTracks(tracks, transport) {
   const [states, times] = await Promise.all([
@@ -15,10 +15,10 @@ export async function readTracks(tracks, transport) {
   let offset = 0;
   const agents = tracks.agents.map((agent) => {
     const begin = offset;
-    offset += 3 * agent.steps;
+    offset += 4 * agent.steps;
     return { ...agent, states: states.subarray(begin, offset) };
   });
-  return { times, agents, origin: tracks.origin, colours: tracks.colours };
+  return { times, agents, origin: tracks.origin, colours: tracks.colours, speeds: tracks.speeds };
 }
 
 /** Find the index of the last time that is not after `time`; 0 before the first. */
@@ -33,21 +33,30 @@ export function findStep(times, time) {
   return low;
 }
 
+/** Whether an agent is there at one of its own steps. */
+export const isPresent = ({ states }, step) => !Number.isNaN(states[4 * step]);
+
+/** An agent's speed in m/s at the last step until a time; null while absent. */
+export function getSpeed({ times }, { first, steps, states }, time) {
+  const step = findStep(times, time) - first;
+  return step < 0 || step >= steps || Number.isNaN(states[4 * step]) ? null : states[4 * step + 3];
+}
+
 /** Interpolate an agent's [x, y, heading] between the steps around a time; null while absent. */
 export function getPose(tracks, agent, time) {
   const { times, origin } = tracks;
   const step = findStep(times, time);
-  const at = 3 * (step - agent.first);
+  const at = 4 * (step - agent.first);
   const { states } = agent;
   if (at < 0 || at >= states.length || Number.isNaN(states[at])) return null;
   const pose = [states[at] + origin[0], states[at + 1] + origin[1], states[at + 2]];
-  if (at + 3 >= states.length || Number.isNaN(states[at + 3])) return pose;
+  if (at + 4 >= states.length || Number.isNaN(states[at + 4])) return pose;
   const share = (time - times[step]) / (times[step + 1] - times[step]);
   if (!(share > 0)) return pose;
-  const turn = states[at + 5] - states[at + 2];
+  const turn = states[at + 6] - states[at + 2];
   return [
-    pose[0] + share * (states[at + 3] - states[at]),
-    pose[1] + share * (states[at + 4] - states[at + 1]),
+    pose[0] + share * (states[at + 4] - states[at]),
+    pose[1] + share * (states[at + 5] - states[at + 1]),
     pose[2] + share * Math.atan2(Math.sin(turn), Math.cos(turn)),
   ];
 }

@@ -7,6 +7,7 @@ export function serverTransport(base) {
     return response;
   };
   return {
+    address: (path) => base + path, // what a player reads by itself
     read: async (path) => (await check(await fetch(base + path))).arrayBuffer(),
     call: async (action) => {
       const body = JSON.stringify(action);
