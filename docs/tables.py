@@ -259,6 +259,27 @@ def write_without_detector(results: Row) -> str:
     return write_rows([{key: row[key] for key in keys} for row in results["rows"]])
 
 
+def write_tracking_hard(results: Row) -> str:
+    """Each tracker's IDF1 and time under each condition, means over the cases."""
+    rows = [row for row in results["rows"] if row["agents of"] == "vehicle"]
+    methods = [name for name in _distinct(rows, "method") if "not given" not in name]
+    header = ["boxes", *(f"IDF1, {name}" for name in methods), "HOTA, geoaim"]
+    header += ["best other HOTA", "geoaim by case", "in its 95 % region of position", "of heading"]
+    table = []
+    for boxes in _distinct(rows, "boxes"):
+        hotas = [_mean(rows, "HOTA", boxes=boxes, method=name) for name in methods]
+        own = [r for r in rows if (r["boxes"], r["method"]) == (boxes, "geoaim")]
+        cells = [f"{_mean(rows, 'IDF1', boxes=boxes, method=name):.3f}" for name in methods]
+        cells += [f"{hotas[0]:.3f}", f"{max(hotas[1:]):.3f}"]
+        cells.append(", ".join(f"{row['IDF1']:.3f}" for row in own))
+        for key in ("in position's 95 % region", "in heading's 95 % range"):
+            cells.append(_range([round(row[key]) for row in own]) + " %")
+        table.append([boxes, *cells])
+    times = [f"{_mean(rows, 'ms a frame', method=name):.1f}" for name in methods]
+    table.append(["*ms a frame*", *times, *[""] * 5])
+    return write_table(header, table)
+
+
 def write_models_without_detector(results: Row) -> str:
     """A row for each model, a column for each place."""
     rows = results["rows"]
@@ -308,6 +329,7 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "pipeline": write_pipeline,
     "length": lambda results: write_rows(results["lengths"]),
     "birdview": write_birdview,
+    "tracking_hard": write_tracking_hard,
     "without_detector": write_without_detector,
     "models_without_detector": write_models_without_detector,
     "georeference": write_georeference,
