@@ -288,12 +288,11 @@ def _describe_hdmap(source: str) -> Description:
 
 def _describe_model(source: str) -> Description:
     from geoaim.base.limits import refuse_damaged
-    from geoaim.prediction.checkpoints import read_state
-    from geoaim.prediction.config import Config
+    from geoaim.prediction.checkpoints import make_config, read_state
 
     state = read_state(source)
     with refuse_damaged(source, GeoaimError, "a model or a checkpoint of this version"):
-        config = Config(**state["config"])
+        config = make_config(state["config"])
         facts = {"predicts": f"{config.kind}s, {config.dt:g} s a step"}
     if "optimiser" in state:
         return "training checkpoint", facts, ()

@@ -65,7 +65,7 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
         raise ModelError(f"{path} is a training checkpoint; give the model.pt beside it")
     with refuse_damaged(path, ModelError, "a model of this version"):
         with torch.device("meta"):  # the file's weights are the only memory that is needed
-            model = ITRA(_make_config(state["config"]))
+            model = ITRA(make_config(state["config"]))
         weights = _load(model, state["weights"])
         if "known_views" in state:
             model.known_views = KnownViews(**state["known_views"])
@@ -80,7 +80,7 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
     return model.eval()
 
 
-def _make_config(stated: dict[str, Any]) -> Config:
+def make_config(stated: dict[str, Any]) -> Config:
     """The config of a file, whose numbers would otherwise fail in a simulation, far from it."""
     for name, limit in MAX_NUMBERS.items():
         value = stated.get(name, limit)

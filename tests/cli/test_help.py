@@ -42,7 +42,7 @@ def test_the_usage_line_names_all_that_must_be_given():
     for usage in (
         "predict AIM -o OUTPUT [OPTIONS]",
         "align IMAGERY... -o OUTPUT [OPTIONS]",
-        "bench STAGE VIDEO [OPTIONS]",
+        "bench VIDEO [OPTIONS]",
         "catalog build RECORDINGS -o OUTPUT [OPTIONS]",
     ):
         words = [word for word in usage.split() if word.islower()]
