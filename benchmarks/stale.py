@@ -3,8 +3,8 @@
     python -m benchmarks stale
 
 A result is a JSON file in docs/bench or docs/experiments. It states the commit on which its command
-ran; its stage is the folders that `STAGES` names for the command. A change of comments,
-docstrings, annotations, imports, the texts of errors, layout or a definition's file is none.
+ran; its stage is what `STAGES` names for the command. A change of comments, docstrings,
+annotations, imports, the texts of errors, layout or a definition's file is none.
 """
 
 import ast
@@ -15,8 +15,8 @@ from functools import cache
 from benchmarks.results import ROOT, run_git
 
 RESULTS = ("docs/bench", "docs/experiments")
-# the folders whose code the results of a command depend on, by how the command begins; the first
-# that fits counts
+# the folders or files whose code the results of a command depend on, by how the command begins; the
+# first that fits counts
 STAGES = {
     "python -m benchmarks.alignment": ("geoaim/imagery",),
     "python -m benchmarks.background.own_boxes": ("geoaim/mapping/background", "geoaim/tracking"),
@@ -29,6 +29,10 @@ STAGES = {
     "python -m benchmarks.prediction": ("geoaim/prediction",),
     "python -m benchmarks.realism": ("benchmarks/synthetic",),
     "python -m benchmarks.registration": ("geoaim/mapping/registration",),
+    "python -m benchmarks.rendering.exactness": (
+        "geoaim/rendering/coverage.py",
+        "geoaim/rendering/triangles.py",
+    ),
     "python -m benchmarks.rendering": ("geoaim/rendering",),
     "python -m benchmarks.short_clips": (
         "geoaim/mapping/registration",
@@ -71,11 +75,12 @@ def explain_staleness(content: dict[str, object]) -> str:
 
 
 def has_changed(commit: str, folder: str) -> bool:
-    """Tell whether a folder has a definition that no module of it had at a commit."""
+    """Tell whether a folder or file has a definition that it had not at a commit."""
     names = run_git("ls-tree", "-r", "--name-only", commit, folder).splitlines()
     sources = (run_git("show", f"{commit}:{name}") for name in names if name.endswith(".py"))
     before = {definition for source in sources for definition in strip(source)}
-    paths = (ROOT / folder).rglob("*.py")
+    path = ROOT / folder
+    paths = [path] if path.is_file() else path.rglob("*.py")
     return any(not before.issuperset(strip(path.read_text("utf-8"))) for path in paths)
 
 
