@@ -86,6 +86,7 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
         first = next((frame for frame in decoded if frame is not None), None)
         if first is None:
             raise VideoError(f"{path}: no frame can be decoded; it has none, or is damaged")
+        _warn_of_shape(path, stream, first)
         rate = float(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
         count, count_is_exact = read_frame_count(container, stream, rate)
         stamped = first.pts is not None and container.format.name != "avi"  # AVI has none
@@ -104,6 +105,25 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
         )
         interval = _measure_keyframe_interval(file, container, stream)
         return replace(file, keyframe_interval=interval)
+
+
+def _warn_of_shape(path: Path, stream: Any, first: Any) -> None:
+    """Warn where frames are stored otherwise than they are to be shown, but for quarter turns."""
+    shape = stream.sample_aspect_ratio
+    if shape not in (None, 0, 1):
+        warn(
+            f"{path}: its pixels are {float(shape):.3g} times as wide as high, and are taken as "
+            "square, so that ground and vehicles are stretched: convert it (ffmpeg -i IN -vf "
+            "scale=iw*sar:ih,setsar=1 OUT)"
+        )
+    matrices = [data for data in first.side_data if data.type.name == "DISPLAYMATRIX"]
+    for a, b, _, c, d in (np.frombuffer(data, np.int32)[:5].tolist() for data in matrices):
+        if a * d < b * c:
+            warn(
+                f"{path} says that it is shown as in a mirror, which is left undone, since a camera"
+                " sees the ground unmirrored; if its frames are mirrored, convert it (ffmpeg -vf "
+                "hflip)"
+            )
 
 
 def read_frames(file: VideoFile) -> Iterator[Frame]:
