@@ -406,18 +406,27 @@ def open_container(path: Path) -> Any:
 
 
 def select_stream(container: Any, path: Path, threads: int | None) -> Any:
-    """Select the video stream of a container."""
+    """Select the video stream of a container: the longest, then the default, then the largest."""
     cover = av.stream.Disposition.attached_pic
     streams = [stream for stream in container.streams.video if not stream.disposition & cover]
     if not streams:
         kinds = ", ".join(sorted({one.type for one in container.streams})) or "no stream at all"
         raise VideoError(f"{path}: no video in this file, but {kinds}; give a video file")
-    if streams[0].codec_context is None:
+    stream = max(streams, key=_rate_stream)
+    if stream.codec_context is None:
         raise VideoError(f"{path}: its codec is unknown to FFmpeg; convert the file to H.264")
-    streams[0].thread_type = "AUTO"
+    stream.thread_type = "AUTO"
     if threads is not None:
-        streams[0].thread_count = threads
-    return streams[0]
+        stream.thread_count = threads
+    return stream
+
+
+def _rate_stream(stream: Any) -> tuple[int, bool, int]:
+    """Rate a stream: whole seconds, whether it is the default, and pixels; a thumbnail has few."""
+    seconds = 0 if stream.duration is None else round(stream.duration * stream.time_base)
+    codec = stream.codec_context
+    pixels = 0 if codec is None else codec.width * codec.height
+    return seconds, bool(stream.disposition & av.stream.Disposition.default), pixels
 
 
 def read_frame_count(container: Any, stream: Any, rate: float) -> tuple[int, bool]:
