@@ -1,6 +1,7 @@
 """A picture of an AIM with its report at a glance."""
 
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ MAP_INCHES, PANEL_INCHES = 8.0, 6.5  # height of the map, width of what stands b
 RESIDUAL_SCALES = (50, 20, 10, 5, 2, 1)  # residuals of control points are drawn as much longer
 # length of the longest residual as it is drawn, as a share of the map's width
 LONGEST_RESIDUAL = 0.2
+SUMMARY_CHARS = 80  # that fit into the panel's width
 RASTER_STRIDE = 4  # every fourth pixel of the coverage is drawn, in both directions
 
 
@@ -118,5 +120,11 @@ def _draw_summary(axes: Axes, aim: AIM) -> None:
     axes.axis("off")
     lines = aim.summarize()
     width = max(map(len, lines))
-    text = "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items())
+    room = max(SUMMARY_CHARS - width - 2, 20)
+    rows = [
+        f"{name if number == 0 else '':<{width}}  {part}"
+        for name, value in lines.items()
+        for number, part in enumerate(wrap(value, room) or [""])
+    ]
+    text = "\n".join(rows)
     axes.text(0, 1, text, family="monospace", fontsize=8, va="top", transform=axes.transAxes)

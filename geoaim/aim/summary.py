@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from geoaim.aim.position import MOVED, describe_covariance, measure_azimuth
-from geoaim.base.errors import name_option
 
 MAX_REASON_CHARS = 70
+MAX_NAME_CHARS = 24  # of a file, of which the end tells most
 MIN_OFFSET_M = 0.1  # imagery that stays farther from where its reference shows it says so
 Lines = dict[str, str]
 
@@ -129,6 +129,7 @@ def _summarize_position(position: Mapping[str, Any]) -> Lines:
     if "relative_to" not in position:
         return {}
     name = position.get("reference") or f"the {position['relative_to']}"
+    name = name if len(name) <= MAX_NAME_CHARS else f"...{name[3 - MAX_NAME_CHARS :]}"
     relative = _describe(position["relative_covariance_m2"])
     offset = position.get("offset_from_reference_m", [0.0, 0.0])
     if (distance := float(np.hypot(*offset))) > MIN_OFFSET_M:
@@ -139,10 +140,7 @@ def _summarize_position(position: Mapping[str, Any]) -> Lines:
     if assumed := position.get("assumes"):
         in_world += f", taking the {' and the '.join(assumed)} as right"
     if supposed := position.get("supposed_accuracy_m"):
-        option = name_option("--imagery-accuracy", "accuracy=")
-        in_world += (
-            f": the imagery's own accuracy is not given ({option}), {supposed} m is supposed"
-        )
+        in_world += f", supposing {supposed} m (1 sigma) of the imagery's own place"
     return lines | {"in the world (95 %)": in_world}
 
 

@@ -97,12 +97,12 @@ def align(
 
     with report_errors():
         look = check_map_output(output, imagery, [aim, tracks, gcps], recursive=True)
-        reference = None if aim is None else read_any_aim(aim)
+        is_plain = zoom is None and not tms and tile_size == Tiles.tile_size
+        sources = imagery if is_plain else [Tiles(x, zoom, tms, tile_size) for x in imagery]
+        reference = None if aim is None else read_any_aim(aim, sources, crs, 1.5 * max_shift)
         agents = None
         if tracks is not None:
             agents = read_any_tracks(tracks, tracks_world, tracks_resolution, tracks_frame_rate)
-        is_plain = zoom is None and not tms and tile_size == Tiles.tile_size
-        sources = imagery if is_plain else [Tiles(x, zoom, tms, tile_size) for x in imagery]
         aligned = align_tiles(
             sources[0] if len(sources) == 1 else sources,
             tracks=agents,

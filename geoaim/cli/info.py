@@ -201,7 +201,7 @@ def _describe_video(source: str) -> Description:
     facts = {"size": f"{video.width} x {video.height} px"}
     if video.names is None:
         facts["length"] = f"{video.duration:.2f} s, {video.rate:.4g} frames/s"
-        facts["telemetry"] = "yes" if video.telemetry is not None else "none beside it"
+        facts["telemetry"] = "yes" if video.telemetry is not None else "none"
         return "video", facts, VIDEO_COMMANDS
     if video.frame_count == 1:
         return "image", facts, (*VIDEO_COMMANDS[3:], STILL_COMMAND)

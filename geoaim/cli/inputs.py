@@ -137,14 +137,24 @@ def get_horizon(model: "ITRA", duration: float | None = None) -> int:
     return max(1, round(duration / config.dt))
 
 
-def read_any_aim(path: Path) -> "AIM":
-    """Read an AIM, or imagery in its stated place as an AIM."""
+def read_any_aim(path: Path, sources: Any, crs: str | None, margin: float) -> "AIM":
+    """Read an AIM, or imagery in its stated place as an AIM: the part that others may show.
+
+    Args:
+        path: the AIM or the imagery.
+        sources: the imagery that is aligned to it, as `read_imagery` takes it.
+        crs: CRS of that imagery where it names none.
+        margin: metres around that which are read too.
+    """
+    import numpy as np
     from rasterio.errors import RasterioError
 
     from geoaim.aim.files import read_aim
+    from geoaim.base.errors import ImageryError
     from geoaim.base.files import MAP_FILE, find_in_folder
     from geoaim.base.raster_files import open_raster_file
-    from geoaim.imagery.mosaic import read_imagery
+    from geoaim.base.world import choose_world, world_from_lonlat
+    from geoaim.imagery.mosaic import read_imagery, read_lonlat
 
     file = find_in_folder(path, MAP_FILE)
     try:
@@ -152,7 +162,22 @@ def read_any_aim(path: Path) -> "AIM":
             is_imagery = "GEOAIM" not in raster.tags() and raster.crs is not None
     except (OSError, RasterioError):  # read_aim says what is wrong
         is_imagery = False
-    return read_imagery(file) if is_imagery else read_aim(file)
+    if not is_imagery:
+        return read_aim(file)
+    try:
+        shown = read_lonlat(sources, crs)
+    except ImageryError:  # a service of all the Earth, or a picture without a place
+        return read_imagery(file)
+    whole = read_lonlat(str(file), None)
+    world = choose_world(whole)
+    wanted, bounds = (
+        np.stack([points.min(axis=0), points.max(axis=0)])
+        for points in (world_from_lonlat(world, shown), world_from_lonlat(world, whole))
+    )
+    corners = np.clip(wanted + np.array([[-margin], [margin]]), *bounds)
+    if not np.ptp(corners, axis=0).all():  # elsewhere, which the alignment says
+        return read_imagery(file)
+    return read_imagery(file, world=world, corners=corners)
 
 
 def read_any_lights(

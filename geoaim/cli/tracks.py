@@ -145,6 +145,10 @@ def convert(
     ego: Annotated[
         str | None, typer.Option(help="ScenarioNet: id of the agent that MetaDrive drives")
     ] = None,
+    start_date: Annotated[
+        str | None,
+        typer.Option(help="GeoPackage: date and time at which time is 0; 1970-01-01 if omitted"),
+    ] = None,
     aim: Annotated[
         Path | None, typer.Option(help="geo-trax: AIM whose pixels are Ortho_X and Ortho_Y")
     ] = None,
@@ -173,6 +177,8 @@ def convert(
         written = to or FORMATS.get(output.suffix.lower())
         if written is None:
             raise ValueError(f"{output}: give a name that ends in {', '.join(FORMATS)}, or --to")
+        if start_date is not None and written != "geopackage":
+            raise ValueError("--start-date gives the dates of a GeoPackage; name the output .gpkg")
         if written != "scenarionet":
             check_output(output, SUFFIXES[written], [*tracks, aim])
         given = tracks_world, tracks_resolution, tracks_frame_rate
@@ -187,7 +193,7 @@ def convert(
             known = read_any_lights(lights, stop_lines, roads, read.world)
             write_scenarionet(read, output, hdmap=roads, lights=known, ego=ego)
         else:
-            _write(read, output, written, aim)
+            _write(read, output, written, aim, start_date)
     agents = sum(kind in CLASS_OF_TYPE for kind in read.types)
     count = agents if written == "geo-trax" else len(read.ids)
     console.print(f"{output}: {count} agents at {len(read.times)} times ({written})")
@@ -218,7 +224,9 @@ def _warn_of_derived_states(tracks: "Tracks", paths: list[Path]) -> None:
         )
 
 
-def _write(tracks: "Tracks", output: Path, written: Format, aim: Path | None) -> None:
+def _write(
+    tracks: "Tracks", output: Path, written: Format, aim: Path | None, date: str | None
+) -> None:
     from geoaim.aim.files import read_aim
     from geoaim.tracks.files import write_tracks
     from geoaim.tracks.formats import write_geopackage, write_geotrax
@@ -226,6 +234,6 @@ def _write(tracks: "Tracks", output: Path, written: Format, aim: Path | None) ->
     if written == "geo-trax":
         write_geotrax(tracks, output, aim=None if aim is None else read_aim(aim))
     elif written == "geopackage":
-        write_geopackage(tracks, output)
+        write_geopackage(tracks, output, **({} if date is None else {"start": date}))
     else:
         write_tracks(tracks, output)

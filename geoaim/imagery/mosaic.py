@@ -267,6 +267,7 @@ def _compose(sources: Sequence[_Source], region: Region, resolution: float) -> M
             counts[number] += np.count_nonzero(total[3] >= resampling.MIN_ALPHA) - before
         covered[block] = total[3] >= resampling.MIN_ALPHA
         image[block] = resampling.unpremultiply(total)
+    resampling.read_whole.cache_clear()
     _check_coverage(sources, covered)
     report = _make_report(sources, resolution, counts / covered.size)
     contested, matrix = np.zeros(grid.shape, bool), grid.world_from_grid

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from geoaim.imagery.rasters import Raster, open_raster
 MIN_ALPHA = 0.5  # a pixel of at least this alpha counts as covered
 KERNEL_PAD_PX = 6  # empty cells around what is read: beyond the kernel's reach at twice the cells
 STRETCH_SAMPLES_PX = 1000  # a side, of the pixels whose percentiles give the stretch
+MAX_WHOLE_PX = 1_000_000  # of a raster that is read as a whole: as many as of a block
 PIXEL_CRS = rasterio.crs.CRS.from_wkt('LOCAL_CS["pixels",UNIT["metre",1]]')
 
 
@@ -139,6 +141,25 @@ def _read(
     raster: Raster, window: Window, shape: tuple[int, int], method: Resampling
 ) -> tuple[Float32[Array, "C h w"], Float32[Array, "h w"]]:
     """Values and alpha in [0, 1] of a window, resampled to (rows, columns)."""
+    height, width = raster.grid.shape
+    if shape != (window.height, window.width) or height * width > MAX_WHOLE_PX:
+        return _read_file(raster, window, shape, method)
+    values, alpha = read_whole(raster)
+    part = tuple(slice(*map(int, ends)) for ends in window.toranges())
+    return values[:, *part], alpha[part]
+
+
+@lru_cache(maxsize=4)
+def read_whole(raster: Raster) -> tuple[Float32[Array, "C h w"], Float32[Array, "h w"]]:
+    """Read all of a small raster once, of which hundreds of blocks may show a part each."""
+    height, width = raster.grid.shape
+    return _read_file(raster, Window(0, 0, width, height), (height, width), Resampling.nearest)
+
+
+def _read_file(
+    raster: Raster, window: Window, shape: tuple[int, int], method: Resampling
+) -> tuple[Float32[Array, "C h w"], Float32[Array, "h w"]]:
+    """Read a window of the file."""
     bands = list(raster.bands)
     part = {"window": window, "out_shape": (len(bands), *shape)}
     with open_raster(raster.path, raster.options) as dataset:

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from geoaim.aim.files import read_aim
 from geoaim.cli import app
+from geoaim.cli.inputs import read_any_aim
 from tests.http_servers import run_servers
 
 run = CliRunner().invoke
@@ -36,6 +37,19 @@ def test_an_orthophoto_is_taken_as_the_aim(tmp_path):
     assert result.exit_code == 0, result.output
     shift = read_aim(output).report["alignment"]["aim"]["shift_m"]
     assert np.hypot(*shift) < 0.5
+
+
+def test_of_a_large_orthophoto_the_part_that_is_needed_is_read(tmp_path):
+    with rasterio.open("samples/ortho.tif") as ortho:
+        window = rasterio.windows.Window(300, 400, 200, 150)
+        profile = ortho.profile | {"width": 200, "height": 150}
+        profile["transform"] = ortho.window_transform(window)
+        with rasterio.open(tmp_path / "part.tif", "w", **profile) as part:
+            part.write(ortho.read(window=window))
+    aim = read_any_aim(Path("samples/ortho.tif"), [str(tmp_path / "part.tif")], None, 10.0)
+    side = np.ptp(aim.corners, axis=0)
+    assert (side >= [60, 50]).all()
+    assert (side < [80, 75]).all()  # turned by the other CRS
 
 
 def test_align_writes_nothing_after_an_error(tmp_path):

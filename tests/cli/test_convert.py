@@ -95,3 +95,11 @@ def test_files_of_one_recording_are_merged(tmp_path):
     both = read_tracks(tmp_path / "both.csv")
     assert both.types == ("car", "pedestrian")
     assert both.ids == ("1", "2-1")
+
+
+def test_a_date_is_for_geopackages_only(tmp_path):
+    given = ["convert", "samples/tracks.csv", "--start-date", "2026-06-01"]
+    refused = run(app, [*given, "-o", str(tmp_path / "a.csv")])
+    assert refused.exit_code == 1
+    assert "name the output .gpkg" in " ".join(refused.output.split())
+    assert run(app, [*given, "-o", str(tmp_path / "a.gpkg")]).exit_code == 0

@@ -8,6 +8,7 @@ from rasterio.transform import Affine, from_origin
 
 from geoaim.imagery import resampling
 from geoaim.imagery.mosaic import read_imagery
+from geoaim.imagery.rasters import open_raster
 from tests.imagery.painted_ground import (
     BOX,
     HERE,
@@ -37,6 +38,20 @@ def test_pixels_show_their_own_place(tmp_path, crs, ratio):
     aim = read_imagery(path, world=WORLD, corners=corners, resolution=ratio * pixel)
     assert aim.coverage.all()
     assert misplaced(aim, wave) < 0.02
+
+
+def test_a_coarse_file_is_opened_once_for_all_of_its_blocks(tmp_path, monkeypatch):
+    opened = []
+
+    def count(path, options):
+        opened.append(path)
+        return open_raster(path, options)
+
+    monkeypatch.setattr(resampling, "open_raster", count)
+    place = np.array([[0.004, 0, 15.5], [0, -0.004, 48.7], [0, 0, 1]])
+    path = write(tmp_path / "a.tif", constant(1, 2, 3, side=200), "EPSG:4326", place)
+    read_imagery(path)  # of over 100 blocks: degrees are no affine map of metres
+    assert len(opened) == 1
 
 
 @pytest.mark.parametrize("crs", ["EPSG:25833", "EPSG:3035", FEET])

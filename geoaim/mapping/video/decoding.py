@@ -86,6 +86,7 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
         first = next((frame for frame in decoded if frame is not None), None)
         if first is None:
             raise VideoError(f"{path}: no frame can be decoded; it has none, or is damaged")
+        _warn_of_shape(path, stream, first)
         rate = float(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
         count, count_is_exact = read_frame_count(container, stream, rate)
         stamped = first.pts is not None and container.format.name != "avi"  # AVI has none
@@ -104,6 +105,25 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
         )
         interval = _measure_keyframe_interval(file, container, stream)
         return replace(file, keyframe_interval=interval)
+
+
+def _warn_of_shape(path: Path, stream: Any, first: Any) -> None:
+    """Warn where frames are stored otherwise than they are to be shown, but for quarter turns."""
+    shape = stream.sample_aspect_ratio
+    if shape not in (None, 0, 1):
+        warn(
+            f"{path}: its pixels are {float(shape):.3g} times as wide as high, and are taken as "
+            "square, so that ground and vehicles are stretched: convert it (ffmpeg -i IN -vf "
+            "scale=iw*sar:ih,setsar=1 OUT)"
+        )
+    matrices = [data for data in first.side_data if data.type.name == "DISPLAYMATRIX"]
+    for a, b, _, c, d in (np.frombuffer(data, np.int32)[:5].tolist() for data in matrices):
+        if a * d < b * c:
+            warn(
+                f"{path} says that it is shown as in a mirror, which is left undone, since a camera"
+                " sees the ground unmirrored; if its frames are mirrored, convert it (ffmpeg -vf "
+                "hflip)"
+            )
 
 
 def read_frames(file: VideoFile) -> Iterator[Frame]:
@@ -386,18 +406,27 @@ def open_container(path: Path) -> Any:
 
 
 def select_stream(container: Any, path: Path, threads: int | None) -> Any:
-    """Select the video stream of a container."""
+    """Select the video stream of a container: the longest, then the default, then the largest."""
     cover = av.stream.Disposition.attached_pic
     streams = [stream for stream in container.streams.video if not stream.disposition & cover]
     if not streams:
         kinds = ", ".join(sorted({one.type for one in container.streams})) or "no stream at all"
         raise VideoError(f"{path}: no video in this file, but {kinds}; give a video file")
-    if streams[0].codec_context is None:
+    stream = max(streams, key=_rate_stream)
+    if stream.codec_context is None:
         raise VideoError(f"{path}: its codec is unknown to FFmpeg; convert the file to H.264")
-    streams[0].thread_type = "AUTO"
+    stream.thread_type = "AUTO"
     if threads is not None:
-        streams[0].thread_count = threads
-    return streams[0]
+        stream.thread_count = threads
+    return stream
+
+
+def _rate_stream(stream: Any) -> tuple[int, bool, int]:
+    """Rate a stream: whole seconds, whether it is the default, and pixels; a thumbnail has few."""
+    seconds = 0 if stream.duration is None else round(stream.duration * stream.time_base)
+    codec = stream.codec_context
+    pixels = 0 if codec is None else codec.width * codec.height
+    return seconds, bool(stream.disposition & av.stream.Disposition.default), pixels
 
 
 def read_frame_count(container: Any, stream: Any, rate: float) -> tuple[int, bool]:

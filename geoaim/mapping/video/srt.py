@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 from geoaim.base.errors import GeoaimWarning, GeoreferenceError
 from geoaim.base.geometry import wrap_angle
 from geoaim.base.limits import refuse_damaged
+from geoaim.base.world import METRES_PER_DEGREE
 from geoaim.mapping.video.telemetry import Telemetry, make_telemetry
 
 TIME_LINE = re.compile(r"^[ \t]*(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})[ \t]*-->", re.MULTILINE)
@@ -38,7 +39,6 @@ ALTITUDE_ALONE = (
     "file does not tell which"
 )
 MAX_LEFT_OUT = 0.05  # share of the entries that may jump
-METRES_PER_DEGREE = 111_320.0
 # The most that a value changes: per second, and at once because of rounding and rare updates.
 CHANGES = {
     "position": (60.0, 30.0, "m"),  # some models round to 1e-4 degrees and update each second
@@ -61,6 +61,11 @@ def read_srt(path: str | Path) -> Telemetry:
     """
     with refuse_damaged(path, GeoreferenceError, "an .SRT file", reads_once=True):
         text = Path(path).read_bytes().decode("utf-8", errors="replace")
+    return parse_srt(text, str(path))
+
+
+def parse_srt(text: str, path: str) -> Telemetry:
+    """Parse the text of a DJI .SRT file; `read_srt` says what is raised."""
     lines = list(TIME_LINE.finditer(text))
     if not lines:
         raise GeoreferenceError(f"{path}: no line '00:00:00,000 --> ...' found: not an .SRT file")
@@ -77,7 +82,7 @@ def read_srt(path: str | Path) -> Telemetry:
         except ValueError as error:
             raise GeoreferenceError(f"{path}: entry {number}: {error}") from None
     times = [_parse_seconds(line) for line in lines]
-    telemetry = make_telemetry(times, rows, str(path), remarks)
+    telemetry = make_telemetry(times, rows, path, remarks)
     _check_changes(telemetry, path)
     return telemetry
 

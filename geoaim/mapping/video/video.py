@@ -19,10 +19,11 @@ from numpy import ndarray as Array
 from geoaim.base.errors import GeoreferenceError, VideoError, warn
 from geoaim.base.limits import check_memory, refuse_damaged
 from geoaim.base.raster_files import open_raster_file
-from geoaim.mapping.video.decoding import open_video_file, read_frames, read_frames_at
+from geoaim.mapping.video.decoding import VideoFile, open_video_file, read_frames, read_frames_at
 from geoaim.mapping.video.exif import read_exif
 from geoaim.mapping.video.frames import Frame, FrameList
 from geoaim.mapping.video.srt import read_srt
+from geoaim.mapping.video.subtitles import read_subtitles
 from geoaim.mapping.video.telemetry import Telemetry
 
 BYTES_PER_PIXEL = 16  # memory for a pixel while an image is decoded
@@ -253,19 +254,21 @@ def _open_file(path: Path, threads: int | None) -> Video:
         frame_count=file.count or None,
         read_all=lambda: read_frames(file),
         read_at=lambda times, slack: read_frames_at(file, times.tolist(), slack),
-        read_telemetry=lambda: _read_sidecar(path, file.quarter_turns),
+        read_telemetry=lambda: _read_telemetry(path, file),
         keyframe_interval=file.keyframe_interval,
         read_times=lambda: file.frame_times if len(file.frame_times) else None,
     )
 
 
-def _read_sidecar(path: Path, quarter_turns: int) -> Telemetry | None:
-    """Telemetry from the .SRT file beside a video, or None."""
+def _read_telemetry(path: Path, file: VideoFile) -> Telemetry | None:
+    """Telemetry from the .SRT file beside a video or from its subtitles, or None."""
     sidecars = [path.with_suffix(suffix) for suffix in (".SRT", ".srt")]
     found = next((read_srt(sidecar) for sidecar in sidecars if sidecar.exists()), None)
-    if found is None or quarter_turns % 4 == 0:
+    if found is None:
+        found = read_subtitles(path, 0.0 if np.isnan(file.start) else file.start)
+    if found is None or file.quarter_turns % 4 == 0:
         return found
-    reason = f"the video is turned by {90 * quarter_turns} degrees for display"
+    reason = f"the video is turned by {90 * file.quarter_turns} degrees for display"
     remarks = {**found.remarks, "yaw": reason}
     return replace(found, yaw=np.full_like(found.yaw, np.nan), remarks=remarks)
 
@@ -282,6 +285,13 @@ def _list_images(source: str) -> list[Path] | None:
     else:
         raise VideoError(f"{source}: there is no such file or folder")
     if not images:
+        others = [] if os.path.isdir(source) else glob.glob(source)
+        if len(others) > 1:
+            raise VideoError(
+                f"{source} matches {len(others)} files that are no images, such as {others[0]}; "
+                "one video is read: join the parts of a recording (ffmpeg -f concat -i LIST -c "
+                "copy OUT)"
+            )
         kinds = ", ".join(sorted(IMAGE_SUFFIXES))
         raise VideoError(f"{source}: no image found; {kinds} are read")
     return sorted(images, key=_natural_sort_key)

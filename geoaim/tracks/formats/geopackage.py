@@ -6,6 +6,7 @@ The layer `states` has a point for each agent and time, the layer `paths` a line
 import json
 import os
 import warnings
+from datetime import datetime
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -27,30 +28,44 @@ NEEDED = "a GeoPackage of tracks"
 STATE_COLUMNS = tuple(name for name in COLUMNS if name not in ("x", "y"))
 NUMBERS = STATE_COLUMNS[2:]
 BYTES_PER_ROW = 1000  # memory for a row
-DATE = "1970-01-01T00:00:00.000Z"  # instead of the time of writing: same tracks, same bytes
+EPOCH = "1970-01-01"  # at which `time` is 0, where nobody says when that was
+DATE = f"{EPOCH}T00:00:00.000Z"  # instead of the time of writing: same tracks, same bytes
+CLOCK = "datetime"  # column by which QGIS's temporal controller plays, in UTC
+UTC = 100  # as GDAL numbers time zones
 SQLITE = b"SQLite format 3\0"  # first bytes: GDAL would open other formats by the name .gpkg
 
 
-def write_geopackage(tracks: Tracks, path: str | os.PathLike[str]) -> None:
+def write_geopackage(
+    tracks: Tracks, path: str | os.PathLike[str], *, start: str | datetime = EPOCH
+) -> None:
     """Write tracks as a GeoPackage (.gpkg) with the layers `states` and `paths`.
 
     Positions are in the CRS of the tracks; an agent with one state has no path.
 
+    Args:
+        tracks: the tracks.
+        path: the file.
+        start: the date and time (UTC if it names no zone) at which `time` is 0, for the column
+            `datetime` of `states`, to the millisecond.
+
     Raises:
         ImportError: pyogrio is missing.
-        ValueError: no agent is present.
+        ValueError: no agent is present, or `start` is no date.
     """
+    moment = parse_start(start)
     pyogrio = _import_pyogrio()
     frame = tracks.to_dataframe()
     if not len(frame):
         raise ValueError(f"no agent is present in the tracks; {path} would have no rows")
     points = shapely.points(frame[["x", "y"]].to_numpy() + tracks.world.origin)
+    clock = moment + (frame["time"].to_numpy() * 1000).round().astype("timedelta64[ms]")
+    states = frame[list(STATE_COLUMNS)].assign(**{CLOCK: clock})
     paths, lines = _list_paths(tracks)
     # other programs ignore the description, which brings the origin back
     origin = json.dumps({"origin": list(map(float, tracks.world.origin))})
     options = {"DESCRIPTION": origin, "SPATIAL_INDEX": "NO"}
     layers = {
-        "states": (points, frame[list(STATE_COLUMNS)], "Point"),
+        "states": (points, states, "Point"),
         "paths": (np.array(lines, object), paths, "LineString"),
     }
     with atomic_write(path) as temporary, warnings.catch_warnings():
@@ -68,6 +83,7 @@ def write_geopackage(tracks: Tracks, path: str | os.PathLike[str]) -> None:
                     crs=tracks.world.crs,
                     driver="GPKG",
                     layer_options=options,
+                    gdal_tz_offsets={CLOCK: np.full(len(table), UTC)} if CLOCK in table else None,
                 )
         finally:
             pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
@@ -97,15 +113,41 @@ def read_geopackage(path: str | os.PathLike[str]) -> Tracks:
             meta, _, points, values = pyogrio.raw.read(path, layer="states", columns=STATE_COLUMNS)
         if heard:  # GDAL goes on with 0 where it cannot read a value
             raise ValueError(heard[0].message)
-        frame = pd.DataFrame(dict(zip(meta["fields"], values, strict=True)))
+        frame = _read_clock(pd.DataFrame(dict(zip(meta["fields"], values, strict=True))))
         shapes = shapely.from_wkb(points)
-        if not (shapely.get_type_id(shapes) == shapely.GeometryType.POINT).all():
-            raise ValueError("the layer states has a row without a point")
+        # of a multipoint of one, as GIS programs make them
+        one = shapely.get_num_geometries(shapes) == 1
+        shapes = np.where(one, shapely.get_geometry(shapes, 0), shapes)
+        is_point = shapely.get_type_id(shapes) == shapely.GeometryType.POINT
+        lacking = ~is_point | shapely.is_empty(shapes)
+        if lacking.any():
+            raise ValueError(f"row {int(lacking.argmax()) + 1} of the layer states has no point")
         places = np.column_stack([shapely.get_x(shapes), shapely.get_y(shapes)])
         crs = None if "Undefined Cartesian" in str(meta["crs"]) else meta["crs"]
         origin = _read_origin(info)
         world = choose_own_world(places, crs) if origin is None else World(crs, origin)
         return make_tracks(place_rows(frame, places, crs, world)[list(COLUMNS)], world)
+
+
+def parse_start(start: str | datetime) -> np.datetime64:
+    """Parse a date and time, in UTC if it names no zone, to the millisecond.
+
+    >>> str(parse_start("2026-06-01 12:00+02:00"))
+    '2026-06-01T10:00:00.000'
+    """
+    try:
+        return np.datetime64(pd.to_datetime(start, utc=True).tz_localize(None), "ms")
+    except (ValueError, TypeError) as error:
+        raise ValueError(
+            f"{start!r} is not a date and time, such as 2026-06-01T12:00:00Z"
+        ) from error
+
+
+def _read_clock(frame: pd.DataFrame) -> pd.DataFrame:
+    """Take dates in the column of times, as GIS programs need them, for seconds from the first."""
+    if not pd.api.types.is_datetime64_any_dtype(frame["time"]):
+        return frame
+    return frame.assign(time=(frame["time"] - frame["time"].min()).dt.total_seconds())
 
 
 def _import_pyogrio() -> ModuleType:
@@ -139,7 +181,8 @@ def _check_tables(path: Path) -> None:
         ):
             raise ValueError("its values are computed when they are read")
         for _, name, declared, *_ in columns:
-            if name in NUMBERS and "TEXT" not in declared.upper():  # GDAL would read a text as 0
+            is_text = any(kind in declared.upper() for kind in ("TEXT", "DATE"))
+            if name in NUMBERS and not is_text:  # GDAL would read a text as 0
                 query = f"SELECT {name} FROM states WHERE typeof({name}) = 'text' LIMIT 1"
                 if wrong := database.execute(query).fetchone():
                     raise ValueError(f"{name} {wrong[0]!r} is not a number")

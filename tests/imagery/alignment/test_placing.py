@@ -103,12 +103,12 @@ def test_a_place_is_as_sure_as_the_imagery(aim, ortho, tmp_path):
     assert position["reference"] == "ortho.tif"
     assert lines["relative to ortho.tif (95 %)"].startswith("±0.")
     assert lines["in the world (95 %)"].startswith("±6.1")  # 2.45 times 2.5 m
-    assert "2.5 m is supposed" in lines["in the world (95 %)"]
+    assert "supposing 2.5 m" in lines["in the world (95 %)"]
     _, lines = state_world(aim, tmp_path / "ortho.tif", accuracy=0.0)
     assert "taking the imagery as right" in lines["in the world (95 %)"]
     _, lines = state_world(aim, tmp_path / "ortho.tif", accuracy=1.0)
     assert lines["in the world (95 %)"].startswith("±2.4")
-    assert "supposed" not in lines["in the world (95 %)"]
+    assert "supposing" not in lines["in the world (95 %)"]
 
 
 def test_web_tiles_are_less_sure_than_an_orthophoto(ortho):

@@ -495,3 +495,27 @@ def test_digits_that_are_no_numbers_are_sorted_as_text(tmp_path):
     for name in names:
         (tmp_path / name).write_bytes(cv2.imencode(".png", np.zeros((4, 4, 3), np.uint8))[1])
     assert open_video(tmp_path).names == tuple(names)
+
+
+def test_a_video_that_is_to_be_shown_mirrored_is_warned_of(tmp_path):
+    path = write_clip(tmp_path / "a.mp4", 3)
+    content = bytearray(path.read_bytes())
+    at = content.index(b"tkhd") + 44  # the matrix of the track's header
+    assert content[at : at + 4] == (1 << 16).to_bytes(4, "big")
+    content[at : at + 4] = (-1 << 16).to_bytes(4, "big", signed=True)
+    path.write_bytes(content)
+    with pytest.warns(GeoaimWarning, match="shown as in a mirror"):
+        open_video(path)
+
+
+def test_pixels_that_are_not_square_are_warned_of(tmp_path):
+    path = tmp_path / "a.mp4"
+    with av.open(path, "w") as container:
+        stream = container.add_stream("mpeg4", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.codec_context.sample_aspect_ratio = Fraction(4, 3)
+        frame = av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8))
+        container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    with pytest.warns(GeoaimWarning, match="1.33 times as wide as high"):
+        open_video(path)

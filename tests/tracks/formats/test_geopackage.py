@@ -58,6 +58,27 @@ def test_file_has_what_every_geopackage_has(written):
     assert ask(written, "PRAGMA foreign_key_check") == []
 
 
+def test_states_have_dates_that_gis_programs_play(tmp_path, written):
+    query = "SELECT time, datetime FROM states WHERE time = 0.1 LIMIT 1"
+    assert ask(written, query) == [(0.1, "1970-01-01T00:00:00.100Z")]
+    write_geopackage(SAMPLE, tmp_path / "a.gpkg", start="2026-06-01 12:00+02:00")
+    assert ask(tmp_path / "a.gpkg", query) == [(0.1, "2026-06-01T10:00:00.100Z")]
+    info = pyogrio.read_info(tmp_path / "a.gpkg", layer="states")
+    assert dict(zip(info["fields"], info["dtypes"], strict=True))["datetime"] == "datetime64[ms]"
+    with pytest.raises(ValueError, match="'noon' is not a date and time"):
+        write_geopackage(SAMPLE, tmp_path / "b.gpkg", start="noon")
+
+
+def test_dates_and_multipoints_of_gis_programs_are_read(tmp_path, written):
+    frame = pyogrio.read_dataframe(written, layer="states")
+    frame["time"] = frame.pop("datetime")
+    frame.geometry = shapely.multipoints(shapely.get_coordinates(frame.geometry)[:, None])
+    pyogrio.write_dataframe(frame, tmp_path / "b.gpkg", layer="states")
+    read = read_tracks(tmp_path / "b.gpkg")
+    np.testing.assert_array_equal(read.times, SAMPLE.times)
+    assert read.present.sum() == SAMPLE.present.sum()
+
+
 def test_paths_are_lines_in_the_crs(written):
     info, _, lines, (names, starts) = pyogrio.raw.read(
         written, layer="paths", columns=["id", "start"]
@@ -79,8 +100,8 @@ def test_paths_are_lines_in_the_crs(written):
             "ALTER TABLE states DROP COLUMN speed",
             "the layer states has .* and lacks speed: rename or add",
         ),
-        ("UPDATE states SET geom = x'00'", "a row without a point"),
-        ("UPDATE states SET geom = NULL", "a row without a point"),
+        ("UPDATE states SET geom = x'00'", "row 1 of the layer states has no point"),
+        ("UPDATE states SET geom = NULL WHERE fid = 7", "row 7 of the layer states has no point"),
         ("UPDATE states SET heading = 'north'", "heading 'north' is not a number"),
         ("DELETE FROM states", "has no rows"),
         ("DELETE FROM gpkg_contents", "a GeoPackage of tracks, or is damaged"),
