@@ -1,5 +1,5 @@
 # make demo       map and tracks of the bundled sample video, and what may happen there
-# make notebook   the notebooks, in JupyterLab
+# make notebook   the notebooks, in JupyterLab; elsewhere: make notebook LAB="--no-browser --port 8888"
 # make test       lint, format, types, layers, and the tests, in a few minutes
 # make test-slow  what takes longer, shapes checked: kills, damage, benchmarks, documentation, notebooks
 # make check      lint, types and the tests of changed files, in a minute, before a commit
@@ -55,7 +55,7 @@ demo: .venv/usable
 	@echo "     make notebook"
 
 notebook: .venv/jupyterlab
-	$(BIN)/python -m jupyterlab notebooks
+	$(BIN)/python -m jupyterlab notebooks $(if $(filter 0,$(shell id -u 2>/dev/null)),--allow-root) $(LAB)
 
 # there is a worker for each core already
 tests changed test-slow test-lowest coverage: export OMP_NUM_THREADS = 1

@@ -20,6 +20,8 @@ from geoaim.aim.quicklook import draw_quicklook
 from geoaim.aim.rectification import rectify
 from geoaim.base.errors import GeoreferenceError, RegistrationError, TracksError, VideoError
 from geoaim.base.files import (
+    FILM_FILE,
+    LOOK_FILE,
     MAP_FILE,
     REPORT_FILE,
     ROAD_FILES,
@@ -48,7 +50,6 @@ from geoaim.tracks.files import write_tracks
 from geoaim.tracks.lights import Lights, read_lights, read_stop_lines
 from geoaim.tracks.tracks import Tracks
 
-LOOK_FILE, FILM_FILE = "map.png", "film.mp4"
 FILM_RATE = 10.0  # pictures per second
 MIN_PREDICTED_S = 1.0  # observed seconds from which models predict
 MIN_TRAINING_S = 60.0  # of tracks from which a model is trained with profit

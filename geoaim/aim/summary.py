@@ -56,7 +56,7 @@ def _summarize_contested(background: Mapping[str, Any]) -> str:
     share = background["contested_share"]
     if background["method"] == "mean" and share == 0:
         return "not looked for: this is a mean with its traffic"
-    return f"{share:.2%} of the pixels"
+    return f"{share:.2%} of the pixels, whose ground the frames do not determine"
 
 
 def format_metres(length: float) -> str:

@@ -91,7 +91,7 @@ def warn(message: str) -> None:
 def name_option(option: str, argument: str) -> str:
     """Name what a message advises to give: a command's option, or the argument in Python.
 
-    >>> name_option("--height", "height=")
+    >>> name_option("--flying-height", "height=")
     'height='
     """
     return option if IN_COMMAND.get() else argument

@@ -163,6 +163,7 @@ def check_new_folder(folder: Path) -> None:
 
 # in a folder that `geoaim place` wrote; those of the roads only where they were given
 MAP_FILE, TRACKS_FILE, REPORT_FILE = "map.tif", "tracks.csv", "report.json"
+LOOK_FILE, FILM_FILE = "map.png", "film.mp4"
 ROAD_FILES = {"lights": "lights.csv", "hdmap": "map.osm", "stop_lines": "stop_lines.geojson"}
 
 

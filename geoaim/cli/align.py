@@ -27,7 +27,7 @@ def align(
     tracks_resolution: options.TracksResolution = None,
     tracks_frame_rate: options.TracksFrameRate = None,
     aim: Annotated[Path | None, typer.Option(help="AIM or orthophoto of the same place")] = None,
-    gcps: options.ControlPoints = None,
+    points: options.ControlPoints = None,
     shift: Annotated[
         str | None,
         typer.Option(help="move it by hand first: metres east,north[,degrees counter-clockwise]"),
@@ -62,7 +62,7 @@ def align(
     model: Annotated[
         Literal["auto", "similarity"],
         typer.Option(
-            help="with --gcps: 'similarity' for a picture that is an orthophoto, free of tilt"
+            help="with --points: 'similarity' for a picture that is an orthophoto, free of tilt"
         ),
     ] = "auto",
     bands: Annotated[
@@ -96,7 +96,7 @@ def align(
     from geoaim.tracks.changes import to_world
 
     with report_errors():
-        look = check_map_output(output, imagery, [aim, tracks, gcps], recursive=True)
+        look = check_map_output(output, imagery, [aim, tracks, points], recursive=True)
         is_plain = zoom is None and not tms and tile_size == Tiles.tile_size
         sources = imagery if is_plain else [Tiles(x, zoom, tms, tile_size) for x in imagery]
         reference = None if aim is None else read_any_aim(aim, sources, crs, 1.5 * max_shift)
@@ -107,7 +107,7 @@ def align(
             sources[0] if len(sources) == 1 else sources,
             tracks=agents,
             aim=reference,
-            gcps=gcps,
+            gcps=points,
             resolution=resolution,
             crs=crs,
             prior=Prior(max_shift, math.radians(max_rotation), max_scaling / 100),

@@ -69,10 +69,10 @@ def evaluate(
     With --val-fraction also with a plain network of an agent's own past, which is trained on the
     beginning of the tracks in seconds.
 
-    On an AIM with tracks: minADE, minFDE, MFD, collisions and traffic violations, also those of
-    the recording itself, and with --realism how likely it is under the samples. On windows of the
-    Stanford Drone Dataset: minADE and minFDE in pixels and metres. Confidence intervals of 95 % are
-    bootstrapped.
+    On an AIM with tracks: minADE (how far the closest of the samples is from what was driven),
+    minFDE, MFD, collisions and traffic violations, also those of the recording itself, and with
+    --realism how likely it is under the samples. On windows of the Stanford Drone Dataset: minADE
+    and minFDE in pixels and metres. Confidence intervals of 95 % are bootstrapped.
 
     Example: geoaim evaluate map.tif --tracks samples/tracks.csv --hdmap samples/map.osm
     """

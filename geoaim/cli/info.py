@@ -67,7 +67,7 @@ VIDEO_COMMANDS = (
     "build FILE --frame-resolution 0.05 -o map.tif",  # a first look
     "pick FILE -o points.csv",
     "pick FILE --imagery ortho.tif -o points.csv",
-    "build FILE --gcps points.csv -o map.tif",
+    "build FILE --points points.csv -o map.tif",
     "frame FILE -o frame.png",
     "register FILE -o registration.csv",
 )
@@ -136,7 +136,7 @@ def _describe_folder(folder: Path) -> Description:
         raise reason
     if texts := list(folder.glob("*.txt")):
         facts = {"frames": str(len(texts))}
-        command = "build video.mp4 --gcps points.csv --detections FILE -o map.tif"
+        command = "build video.mp4 --points points.csv --detections FILE -o map.tif"
         return "detections (YOLO)", facts, (command,)
     raise GeoaimError(
         f"{folder} holds nothing that geoaim reads as a folder: images, tiles, a SinD recording, "
@@ -276,7 +276,7 @@ def _describe_points(source: str) -> Description:
     frames = ", ".join(dict.fromkeys(row.frame for row in rows if row.frame)) or "the first"
     crs = ", ".join(dict.fromkeys(row.crs for row in rows if row.crs)) or "not stated: give --crs"
     facts = {"points": str(len(rows)), "picked on frame": frames, "CRS": crs}
-    return "control points", facts, ("build video.mp4 --gcps FILE -o map.tif",)
+    return "control points", facts, ("build video.mp4 --points FILE -o map.tif",)
 
 
 def _describe_hdmap(source: str) -> Description:

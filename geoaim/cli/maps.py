@@ -20,12 +20,14 @@ if TYPE_CHECKING:
 def build(
     video: options.VideoSource,
     output: Annotated[Path, options.output("GeoTIFF to write")],
-    gcps: options.ControlPoints = None,
+    points: options.ControlPoints = None,
     detections: options.DetectionsFolder = None,
     frames: Annotated[
         str, typer.Option(help="frames used for the background: auto, all or a number")
     ] = "auto",
-    crs: Annotated[str | None, typer.Option(help="CRS of the map, such as EPSG:32635")] = None,
+    output_crs: Annotated[
+        str | None, typer.Option(help="CRS of the map, such as EPSG:32635")
+    ] = None,
     resolution: Annotated[
         float | None,
         options.resolution(
@@ -41,7 +43,7 @@ def build(
         Literal["corner", "middle"],
         typer.Option(help="origin of a map without control points: top-left corner of the frame"),
     ] = "corner",
-    height: Annotated[
+    flying_height: Annotated[
         float | None,
         typer.Option(help="camera's height above the ground, m, if telemetry lacks it"),
     ] = None,
@@ -75,29 +77,29 @@ def build(
     telemetry or from --near with about the right --frame-resolution. A quick-look .png is written
     beside the map.
 
-    Example: geoaim build samples/hover.mp4 --gcps samples/gcps.csv -o map.tif
+    Example: geoaim build samples/hover.mp4 --points samples/gcps.csv -o map.tif
     """
     from geoaim.mapping.build_map import MapSettings, build_map
 
     with show_progress() as progress, report_errors():
-        look = check_map_output(output, [video], [gcps])
+        look = check_map_output(output, [video], [points])
         aim = build_map(
             video,
             output,
-            gcps=gcps,
+            gcps=points,
             detections=detections,
             settings=MapSettings(
                 frames=_parse_frames(frames),
-                crs=crs,
+                crs=output_crs,
                 resolution=resolution,
                 frame_resolution=frame_resolution,
                 frame_origin=frame_origin,
-                height=height,
+                height=flying_height,
                 yaw=yaw,
                 focal_length=focal_length,
                 fixed_camera=fixed_camera,
             ),
-            place=_choose_placing(imagery, near, imagery_accuracy, gcps, progress),
+            place=_choose_placing(imagery, near, imagery_accuracy, points, progress),
             progress=progress,
         )
     print_result([output, look], aim.summarize(), as_json, report=aim.report)
@@ -107,7 +109,7 @@ def _choose_placing(
     imagery: list[str] | None,
     near: str | None,
     accuracy: float | None,
-    gcps: Path | None,
+    points: Path | None,
     progress: "Progress",
 ) -> "Callable[[AIM], AIM] | None":
     """What places the map by imagery, if that is asked for."""
@@ -115,8 +117,8 @@ def _choose_placing(
         if near is not None or accuracy is not None:
             raise ValueError("--near and --imagery-accuracy need --imagery, which places the map")
         return None
-    if gcps is not None:
-        raise ValueError("--gcps and --imagery both place the map; give one")
+    if points is not None:
+        raise ValueError("--points and --imagery both place the map; give one")
     sources, start = list(imagery), None if near is None else parse_near(near)
 
     def place(aim: "AIM") -> "AIM":

@@ -5,7 +5,14 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from geoaim.base.files import check_writable
+from geoaim.base.files import (
+    FILM_FILE,
+    LOOK_FILE,
+    MAP_FILE,
+    REPORT_FILE,
+    TRACKS_FILE,
+    check_writable,
+)
 
 GEOTIFF = (".tif", ".tiff")
 TRACKS = (".csv", ".parquet")
@@ -19,9 +26,21 @@ def check_output(
         raise ValueError(f"{output}: give a name that ends in {' or '.join(suffixes)}")
     if output.resolve() in _resolve(inputs):
         raise ValueError(f"{output} is also an input; give another name")
+    if output.exists() and is_of_folder(output):
+        raise ValueError(
+            f"{output} belongs to a folder of geoaim place, whose files are of one run; give "
+            "another name, or place the video anew"
+        )
     if output.is_dir():
         raise ValueError(f"{output} is a folder; the name of a file is needed")
     check_writable(output)
+
+
+def is_of_folder(path: Path) -> bool:
+    """Whether a file is one of those that `geoaim place` writes together into a folder."""
+    folder, written = path.parent, (MAP_FILE, TRACKS_FILE, LOOK_FILE, FILM_FILE, REPORT_FILE)
+    has_both = (folder / MAP_FILE).is_file() and (folder / REPORT_FILE).is_file()
+    return has_both and path.name in written
 
 
 def check_map_output(

@@ -122,4 +122,4 @@ def pick(
         )
         serve_page(make_picking_view(task, f"{Path(video).name}: control points"), browser=browser)
         if output.exists():
-            console.print(f"{output}: next, geoaim build {video} --gcps {output} -o map.tif")
+            console.print(f"{output}: next, geoaim build {video} --points {output} -o map.tif")

@@ -31,7 +31,7 @@ def predict(
     tracks: options.SceneTracks = None,
     kind: options.Kind = "vehicles",
     weights: options.WeightsFile = None,
-    at: Annotated[
+    start: Annotated[
         float | None, typer.Option(help="last observed time, s; the end of the tracks if omitted")
     ] = None,
     duration: Annotated[
@@ -52,9 +52,9 @@ def predict(
     All other agents keep their speed and heading; those whose own speed is too unsure do too, and
     are counted as left out. A .csv has a row for each sample, agent and time.
     Pictures show all samples on the map, and in white the recorded future, if there is one after
-    --at.
+    --start.
 
-    Example: geoaim predict map.tif --tracks samples/tracks.csv --at 20 -o futures.png
+    Example: geoaim predict map.tif --tracks samples/tracks.csv --start 20 -o futures.png
     """
     import torch
 
@@ -71,14 +71,14 @@ def predict(
         model = load_model(weights, kind)
         source = SceneSource(aim, tracks, **files)
         scene, _, world = read_scene(source, rate=1 / model.config.dt)
-        start, horizon = find_step(scene, at), get_horizon(model, duration)
+        first, horizon = find_step(scene, start), get_horizon(model, duration)
         progress("predict", 0, 1)
         futures = predict_futures(
             model,
             scene,
             samples=samples,
             horizon=horizon,
-            start=start,
+            start=first,
             generator=torch.Generator().manual_seed(seed),
         )
         progress("predict", 1, 1)
@@ -119,7 +119,7 @@ def compare(
         list[str] | None,
         typer.Option(help="id of an agent to show, may be repeated; all agents if omitted"),
     ] = None,
-    at: Annotated[
+    start: Annotated[
         float | None, typer.Option(help="last observed time, s; the end of the tracks if omitted")
     ] = None,
     history: Annotated[int, typer.Option(help="observed steps", min=1)] = MAX_HISTORY_STEPS,
@@ -136,7 +136,7 @@ def compare(
 
     All panels show the same ground, the sampled futures, and in white what was recorded.
 
-    Example: geoaim compare map.tif hdmap.tif --tracks samples/tracks.csv --ego 5 --at 10
+    Example: geoaim compare map.tif hdmap.tif --tracks samples/tracks.csv --ego 5 --start 10
     --history 1 --duration 4 --duration 12 -o figure.png
     """
     from geoaim.base.files import write_figure
@@ -144,7 +144,7 @@ def compare(
 
     with show_progress() as progress, report_errors():
         check_output(output, (".png",), [*maps, tracks, *(weights or [])])
-        choices = _Choices(at, history, duration or [None], samples, seed)
+        choices = _Choices(start, history, duration or [None], samples, seed)
         pairs = _pair_weights(maps, weights or [None])
         columns = []
         for number, (path, file) in enumerate(pairs):
@@ -161,7 +161,7 @@ def compare(
 class _Choices:
     """What is predicted on each map, by options."""
 
-    at: float | None
+    start: float | None
     history: int
     durations: list[float] | list[None]
     samples: int
@@ -176,7 +176,7 @@ def _predict(source: SceneSource, model: "ITRA", choices: _Choices) -> list["Fut
     from geoaim.rendering.scene import find_step, slice_scene
 
     scene, _, _ = read_scene(source, rate=1 / model.config.dt)
-    last = find_step(scene, choices.at)
+    last = find_step(scene, choices.start)
     first = max(0, last + 1 - choices.history)
     return [
         predict(

@@ -91,7 +91,7 @@ def simulate(
             help="simulated time, s; 6 or up to the end of the tracks if omitted", min=0.1
         ),
     ] = None,
-    video: Annotated[
+    film: Annotated[
         Path | None, typer.Option(help=".mp4 or .gif of the view around the ego to write")
     ] = None,
     drivable: options.DrivableFile = None,
@@ -118,10 +118,10 @@ def simulate(
 
     with show_progress() as progress, report_errors():
         check_output(output, TRACKS, [aim, tracks, files["lights"]])
-        if video is not None:
-            check_output(video, (".mp4", ".gif"), [aim])
+        if film is not None:
+            check_output(film, (".mp4", ".gif"), [aim])
             if ego is None:
-                raise ValueError("--video needs --ego, the agent at its centre")
+                raise ValueError("--film needs --ego, the agent at its centre")
         driver, rate = _load_driver(policy, weights)
         scene, roads, world = read_scene(SceneSource(aim, tracks, **files), rate=rate)
         area = None if drivable is None else read_drivable_area(drivable, world)
@@ -129,9 +129,9 @@ def simulate(
         given: dict[str, Any] = {"ego": ego, "start": start, "duration": duration, "rules": rules}
         generator = torch.Generator().manual_seed(seed)
         episode = simulate_scene(scene, driver, generator=generator, **given)
-        with atomic_files(output, *([] if video is None else [video])) as parts:
+        with atomic_files(output, *([] if film is None else [film])) as parts:
             write_tracks(make_tracks(episode.scene, world), parts[0])
-            if video is not None and ego is not None:
+            if film is not None and ego is not None:
                 agent = find_agent(episode.scene, ego)
                 steps = episode.scene.present[agent].nonzero()[:, 0]
                 _film_agent(episode.scene, agent, steps, parts[1], progress, **VIDEO)

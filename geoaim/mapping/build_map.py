@@ -109,12 +109,12 @@ def build_map(  # noqa: PLR0913  (its options)
 
 def _check_settings(settings: MapSettings, gcps: Path | None) -> None:
     if settings.frame_resolution is not None and gcps is not None:
-        raise ValueError("--gcps and --frame-resolution exclude each other; give one")
+        raise ValueError("--points and --frame-resolution exclude each other; give one")
     given = settings.height, settings.yaw, settings.focal_length
     completes_telemetry = given != (None, None, None)
     if completes_telemetry and (gcps, settings.frame_resolution) != (None, None):
         raise ValueError(
-            "--height, --yaw and --focal-length complete telemetry, which --gcps and "
+            "--flying-height, --yaw and --focal-length complete telemetry, which --points and "
             "--frame-resolution replace; give one or the other"
         )
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from geoaim.base.errors import TracksError, warn
+from geoaim.base.errors import TracksError, name_option, warn
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES, Config
 from geoaim.prediction.cutting import cut_segments
@@ -74,7 +74,9 @@ def make_dataset(
             places = segments.places + place_of[id(piece.ground)]
             parts[name].append(replace(segments, places=places))
     progress("segments", len(pieces), len(pieces))
-    _report_problems(parts, problems)
+    least = 2 * (segment_steps or SEGMENT_STEPS[config.kind]) * config.dt  # one in each part
+    longest = max(len(scene.times) * scene.dt for scene in scenes)
+    _report_problems(parts, problems, _advise(math.nan if val_scenes else longest, least))
     ground = stack_maps(list(grounds.values()), config.view)
     return Dataset(concat(parts["training"]), concat(parts["validation"]), ground)
 
@@ -181,12 +183,23 @@ def _list_pieces(
     return pieces
 
 
-def _report_problems(parts: dict[str, list[Segments]], problems: dict[str, list[str]]) -> None:
+def _advise(longest: float, least: float) -> str:
+    """Advise what gives segments, by the longest recording (if split) and what is needed, s."""
+    more = "film longer, or train on several recordings (a .csv with the columns aim and tracks)"
+    if longest < least:
+        return f"training and validation need {least:g} s, and these are {longest:.0f} s: {more}"
+    if math.isnan(longest):
+        return more
+    share = f"{name_option('--val-fraction', 'val_fraction=')} 0.5 gives both parts half"
+    return f"{share}; if that is too short as well, {more}"
+
+
+def _report_problems(
+    parts: dict[str, list[Segments]], problems: dict[str, list[str]], advice: str
+) -> None:
     """Raise where a part is empty, and warn where a recording adds nothing to it."""
     for name, part in parts.items():
         if not part:
-            raise TracksError(
-                f"{problems[name][0]}. Give longer tracks, or another share for validation"
-            )
+            raise TracksError(f"{problems[name][0]}. What helps: {advice}")
         for problem in problems[name]:
             warn(problem)

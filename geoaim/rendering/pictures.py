@@ -115,7 +115,7 @@ def write_pictures(
     with atomic_write(path) as temporary:
         image = Image.fromarray(first)
         if path.suffix.lower() == ".gif":
-            more = [Image.fromarray(picture) for picture in rest]
+            more = (Image.fromarray(picture) for picture in rest)  # written as they are made
             duration = 1000 / frame_rate
             image.save(temporary, save_all=True, append_images=more, duration=duration, loop=0)
         else:

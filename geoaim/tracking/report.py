@@ -19,7 +19,7 @@ def summarize_tracking(tracks: Tracks, aim: AIM) -> dict[str, str]:
     lines = tracks.summarize()
     states, uncertainty = tracks.get_rows("states"), tracks.get_rows("uncertainty")
     if (seen := tracks.get_rows("seen")) is not None and len(seen):
-        lines["bridged states"] = f"{1 - seen.mean():.1%}"
+        lines["bridged states"] = f"{1 - seen.mean():.1%}, between two detections"
     if uncertainty is not None and len(uncertainty):
         sigma = np.median(uncertainty[:, 0])
         lines["position noise"] = f"{sigma:.2g} m (1 sigma of the smoothed states, median)"

@@ -17,7 +17,14 @@ def test_build_writes_the_map_and_a_quick_look(frames_folder, tmp_path):
     output = tmp_path / "aim.tif"
     result = run(
         app,
-        ["build", str(frames_folder), "--gcps", str(frames_folder / "gcps.csv"), "-o", str(output)],
+        [
+            "build",
+            str(frames_folder),
+            "--points",
+            str(frames_folder / "gcps.csv"),
+            "-o",
+            str(output),
+        ],
     )
     assert result.exit_code == 0, result.output
     with rasterio.open(output) as file:
@@ -41,7 +48,7 @@ def test_a_still_becomes_a_map_by_its_resolution_or_by_control_points(frames_fol
     assert run(app, ["build", *given, "-o", str(output)]).exit_code == 0
     np.testing.assert_allclose(read_aim(output).corners, corners - corners.mean(0), atol=1e-6)
     (tmp_path / "gcps.csv").write_text((frames_folder / "gcps.csv").read_text())
-    given = [still, "--gcps", str(tmp_path / "gcps.csv")]
+    given = [still, "--points", str(tmp_path / "gcps.csv")]
     result = run(app, ["build", *given, "-o", str(output)])
     assert result.exit_code == 0, result.output
     assert read_aim(output).report["georeference"]["points"]
@@ -105,8 +112,8 @@ def test_an_invalid_number_of_frames_is_refused(frames_folder, tmp_path):
     ("options", "message"),
     [
         (["-o", "map.png"], "ends in .tif"),
-        (["-o", "map.tif", "--gcps", "a.csv", "--frame-resolution", "1"], "exclude each other"),
-        (["-o", "map.tif", "--gcps", "a.csv", "--yaw", "1"], "complete telemetry"),
+        (["-o", "map.tif", "--points", "a.csv", "--frame-resolution", "1"], "exclude each other"),
+        (["-o", "map.tif", "--points", "a.csv", "--yaw", "1"], "complete telemetry"),
         (["-o", "."], "ends in .tif"),
         (["-o", "taken/map.tif"], "is a file; a folder is needed"),
     ],

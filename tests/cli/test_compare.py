@@ -97,7 +97,7 @@ def test_command_draws_a_column_for_each_map_and_a_row_for_each_duration(aim, tm
     write_model(init_model(TINY), model)
     for name in ("one.tif", "two.tif"):
         geoaim.write_aim(aim, tmp_path / name)
-    given = ["--tracks", TRACKS, "--at", "5", "--samples", "2", "--weights", str(model)]
+    given = ["--tracks", TRACKS, "--start", "5", "--samples", "2", "--weights", str(model)]
 
     def compare(*maps, durations, more=()):
         picture = tmp_path / "figure.png"

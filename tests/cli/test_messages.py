@@ -67,13 +67,13 @@ def _write_video(path: Path, picture: np.ndarray) -> None:
 
 
 CASES = [
-    ("build mavic.mp4 -o a.tif", {"--yaw", "--focal-length", "--gcps"}),
-    ("build mavic.mp4 --yaw 61 --height 112 -o a.tif", {"--focal-length", "--gcps"}),
-    ("build air.mp4 --yaw 0 -o a.tif", {"--height", "--gcps"}),
-    ("build air.mp4 --yaw 0 --focal-length 24 -o a.tif", {"--height", "--gcps"}),
-    ("build photos --height 80 -o a.tif", {"--yaw", "--gcps"}),
-    ("build still.png -o a.tif", {"--gcps", "--frame-resolution", "--resolution"}),
-    ("build still.png --gcps points.csv -o a.tif", set()),
+    ("build mavic.mp4 -o a.tif", {"--yaw", "--focal-length", "--points"}),
+    ("build mavic.mp4 --yaw 61 --flying-height 112 -o a.tif", {"--focal-length", "--points"}),
+    ("build air.mp4 --yaw 0 -o a.tif", {"--flying-height", "--points"}),
+    ("build air.mp4 --yaw 0 --focal-length 24 -o a.tif", {"--flying-height", "--points"}),
+    ("build photos --flying-height 80 -o a.tif", {"--yaw", "--points"}),
+    ("build still.png -o a.tif", {"--points", "--frame-resolution", "--resolution"}),
+    ("build still.png --points points.csv -o a.tif", set()),
     ("build still.png --resolution 1 --detections labels -o a.tif", set()),
     (f"align '{TILES}' -o a.tif", {"--aim", "--tracks"}),
     (f"align '{TILES}' --resolution 0.2 -o a.tif", {"--aim", "--tracks"}),

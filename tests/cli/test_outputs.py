@@ -9,14 +9,14 @@ run = CliRunner().invoke
 @pytest.mark.parametrize(
     "given",
     [
-        ["align", "shot.png", "--gcps", "points.csv", "-o", "shot.tif"],
+        ["align", "shot.png", "--points", "points.csv", "-o", "shot.tif"],
         ["align", "*.png", "-o", "shot.tif"],
         ["align", "tiles", "-o", "tiles/19/7.tif"],
-        ["align", "other.tif", "--gcps", "points.tif", "-o", "points.tif"],
-        ["align", "other.tif", "--gcps", "shot.png", "-o", "shot.tif"],
-        ["build", "shot.png", "--gcps", "points.csv", "-o", "shot.tif"],
+        ["align", "other.tif", "--points", "points.tif", "-o", "points.tif"],
+        ["align", "other.tif", "--points", "shot.png", "-o", "shot.tif"],
+        ["build", "shot.png", "--points", "points.csv", "-o", "shot.tif"],
         ["build", "tiles/19", "-o", "tiles/19/7.tif"],
-        ["build", "other.mp4", "--gcps", "points.tif", "-o", "points.tif"],
+        ["build", "other.mp4", "--points", "points.tif", "-o", "points.tif"],
     ],
 )
 def test_neither_map_nor_quick_look_replaces_an_input(tmp_path, monkeypatch, given):
@@ -45,7 +45,7 @@ def test_neither_map_nor_quick_look_replaces_an_input(tmp_path, monkeypatch, giv
         (["texture", "a.tif", "pyproject.toml/a"], "is a file; a folder is needed"),
         (["sample", "pyproject.toml/a"], "is a file; a folder is needed"),
         (
-            ["simulate", "a.tif", "--tracks", "t", "-o", "o.csv", "--video", "f.png"],
+            ["simulate", "a.tif", "--tracks", "t", "-o", "o.csv", "--film", "f.png"],
             "ends in .mp4 or .gif",
         ),
         (
@@ -58,6 +58,21 @@ def test_wrong_suffixes_and_outputs_that_are_inputs_are_refused_before_the_work(
     result = run(app, options)
     assert result.exit_code == 1
     assert message in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize("name", ["map.tif", "tracks.csv"])
+def test_files_of_a_folder_of_place_are_not_replaced_one_by_one(tmp_path, name):
+    for written in ("map.tif", "report.json", "tracks.csv"):
+        (tmp_path / written).write_text(written)
+    output = tmp_path / name
+    command = ["build", "v.mp4"] if name == "map.tif" else ["convert", "t.csv"]
+    result = run(app, [*command, "-o", str(output)])
+    assert result.exit_code == 1
+    assert "belongs to a folder of geoaim place" in " ".join(result.output.split())
+    assert output.read_text() == name
+    (tmp_path / "report.json").unlink()  # a folder of somebody's own
+    result = run(app, [*command, "-o", str(output)])
+    assert "belongs to" not in result.output
 
 
 @pytest.mark.parametrize("command", ["sample {}", "texture a.tif {}", "frame v.mp4 -o {}/a.png"])

@@ -20,7 +20,7 @@ def test_render_writes_pictures_and_videos_around_an_agent(frames_folder, tmp_pa
         [
             "build",
             str(frames_folder),
-            "--gcps",
+            "--points",
             str(frames_folder / "gcps.csv"),
             "-o",
             f"{tmp_path}/aim.tif",
@@ -49,7 +49,7 @@ def test_simulate_writes_tracks_and_a_video_and_prints_rates(tmp_path):
     given = ["simulate", f"{tmp_path}/aim.tif", "--tracks", "samples/tracks.csv", "--start", "4"]
     given += ["--hdmap", "samples/map.osm", "--duration", "2", "-o", f"{tmp_path}/out.csv"]
     lights = ["--lights", "samples/lights.csv"]
-    result = run(app, [*given, *lights, "--ego", "12", "--video", f"{tmp_path}/a.gif"])
+    result = run(app, [*given, *lights, "--ego", "12", "--film", f"{tmp_path}/a.gif"])
     assert result.exit_code == 0, result.output
     output = " ".join(result.output.split())
     assert "1 agents by idm" in output
@@ -57,9 +57,9 @@ def test_simulate_writes_tracks_and_a_video_and_prints_rates(tmp_path):
     assert len(read_tracks(tmp_path / "out.csv").times) == 21
     with Image.open(tmp_path / "a.gif") as video:
         assert video.n_frames == 21
-    result = run(app, [*given, "--video", f"{tmp_path}/b.gif"])
+    result = run(app, [*given, "--film", f"{tmp_path}/b.gif"])
     assert result.exit_code == 1
-    assert "--video needs --ego" in result.output
+    assert "--film needs --ego" in result.output
 
 
 def test_simulate_uses_hand_drawn_areas_and_stop_lines(tmp_path):

@@ -69,6 +69,16 @@ def test_recordings_that_are_too_short_are_reported():
     assert len(data.train) == len(make_dataset([scene()], TINY, val_fraction=0.7).train)
 
 
+def test_the_advice_for_short_recordings_is_by_their_length():
+    short = slice_scene(scene(), slice(0, 8))
+    with pytest.raises(TracksError, match=r"need 1 s, and these are .* s: film longer"):
+        make_dataset([short], TINY)
+    with pytest.raises(TracksError, match="gives both parts half"):
+        make_dataset([scene()], TINY)
+    with pytest.raises(TracksError, match="What helps: film longer"):
+        make_dataset([scene()], TINY, val_scenes=[slice_scene(scene(), slice(0, 3))])
+
+
 def test_models_learn_from_smoothed_states_of_agents_whose_heading_is_known():
     exact = scene()
     observed = exact.observed + 0.1

@@ -166,7 +166,7 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
                 *given,
                 "-o",
                 str(tmp_path / name),
-                "--at",
+                "--start",
                 "5",
                 "--samples",
                 "2",
@@ -178,7 +178,7 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
         assert (tmp_path / name).stat().st_size > 1000
     done = run(app, ["predict", *given, "-o", str(tmp_path / "f.txt")])
     assert done.exit_code == 1
-    done = run(app, ["predict", *given, "-o", str(tmp_path / "x.csv"), "--at", "500"])
+    done = run(app, ["predict", *given, "-o", str(tmp_path / "x.csv"), "--start", "500"])
     assert done.exit_code == 1
     assert "500 s is not in the scene" in " ".join(done.output.split())
     done = run(app, ["evaluate", *given, "--kind", "pedestrians", "--hdmap", "samples/map.osm"])

@@ -130,7 +130,7 @@ def test_models_of_cyclists_are_trained_from_scratch(aim, tmp_path):
     assert read_model(tmp_path / "mine/model.pt").config.kind == "cyclist"
     weights = ["--weights", str(tmp_path / "mine/model.pt"), "--samples", "2"]
     futures = tmp_path / "futures.csv"
-    done = run(app, ["predict", *given, *weights, "--at", "50", "-o", str(futures)])
+    done = run(app, ["predict", *given, *weights, "--start", "50", "-o", str(futures)])
     assert done.exit_code == 0, done.output
     assert "cyclist" in futures.read_text()
     refused = run(app, ["predict", *given, "-o", str(futures)])

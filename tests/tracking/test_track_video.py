@@ -45,7 +45,7 @@ def test_tracks_of_the_sample_lie_where_they_should(aim, video):
     assert np.median(distance) < 0.15
     lines = summarize_tracking(tracks, aim)
     assert lines["on the map"].endswith("of the states")
-    assert lines["bridged states"] == "0.0%"
+    assert lines["bridged states"] == "0.0%, between two detections"
 
 
 def test_a_frame_is_placed_in_an_aim_that_is_turned_and_scaled(aim, video):

@@ -43,7 +43,7 @@ MAX_GAP_S = 1.0  # a warning is given where the nearest entry that states a posi
 # What a caller gives where telemetry lacks a field: by an option of build, or in Python.
 ADVICE = {
     "height": (
-        "--height (metres above the ground)",
+        "--flying-height (metres above the ground)",
         "override_telemetry(height=...) (metres above the ground)",
     ),
     "yaw": (
@@ -244,8 +244,9 @@ def _georeference_by_telemetry(
     if telemetry is None:
         raise GeoreferenceError(
             f"{listed.source}: no control points were given and no telemetry can be read beside it "
-            "(a DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
-            f"points ({name_option('--gcps', 'gcps=')}), or for a map in a local plane the metres "
+            "(a DJI .SRT of the same name, or GPS in the images' EXIF); give four or more "
+            f"control points ({name_option('--points', 'gcps=')}), or for a map in a local plane "
+            "the metres "
             + name_option(
                 "per pixel of the frames (--frame-resolution, or --resolution of a single image)",
                 "per pixel of the frames (gcps=make_local_georeference(resolution=...))",
@@ -297,7 +298,7 @@ def _describe_missing(telemetry: Telemetry, missing: Sequence[str]) -> str:
     return (
         f"its telemetry (.SRT, or EXIF and XMP) states {lacking}{why}. Give "
         f"{' and '.join(given)}{straight_down}, or four or more control points "
-        f"({name_option('--gcps', 'gcps=')})"
+        f"({name_option('--points', 'gcps=')})"
     )
 
 

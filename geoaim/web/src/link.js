@@ -16,9 +16,9 @@ export function writeLink({ view, timeline, state }, hidden) {
   history.replaceState(null, "", `#${values}`);
 }
 
-/** Restore the view from the address. */
-export function readLink(app) {
-  const values = new URLSearchParams(location.hash.slice(1));
+/** Restore the view from the part of the address after #. */
+export function readLink(app, hash) {
+  const values = new URLSearchParams(hash.slice(1));
   if (!values.has("x")) return;
   const { view, timeline } = app;
   const hidden = values.get("hidden")?.split(",") ?? [];

@@ -18,22 +18,23 @@ export class VideoBeside {
     });
   }
 
-  /** Whether the video shows what the map shows, so that it can lead. */
-  get leads() {
+  /** The time that the video shows while it leads, or for which it is fetched; null where it does not. */
+  get time() {
     const { video, element } = this;
-    return !element.hidden && !video.error && !video.paused && !video.ended && video.readyState > 2;
+    if (element.hidden || video.error || video.paused || video.ended) return null;
+    return video.seeking || video.readyState < 3 ? this.wanted[0] : video.currentTime;
   }
 
   /** Show the picture of a time; a video that leads is there already. */
   show(time, playing, speed) {
     const { video, element } = this;
     this.wanted = [time, playing, speed];
-    if (element.hidden || video.error) return;
     video.playbackRate = speed;
-    const inside = !(time > video.duration);
-    if (playing && video.paused && inside) video.play().catch(() => {}); // a pause may come before it begins
-    if (!playing && !video.paused) video.pause();
-    const near = this.leads ? LEAD_S : REST_S;
-    if (!video.seeking && inside && Math.abs(video.currentTime - time) > near) video.currentTime = time;
+    const over = time > video.duration || (video.ended && time >= video.currentTime);
+    const shown = !element.hidden && !video.error && !over;
+    if (playing && shown && video.paused) video.play().catch(() => {}); // a pause may come before it begins
+    if (!(playing && shown) && !video.paused) video.pause();
+    const near = playing ? LEAD_S : REST_S;
+    if (shown && !video.seeking && Math.abs(video.currentTime - time) > near) video.currentTime = time;
   }
 }

@@ -38,6 +38,7 @@ const AGENT_VIEW_PERIOD_MS = 200; // so that drawing them leaves the page smooth
 
 /** Show a description (of `kind` "view") in an element; returns what tests and pages drive. */
 export async function showView(element, description, transport, { link = false, keys = element } = {}) {
+  const wanted = link ? location.hash : ""; // before the first picture writes its own
   const view = makeMapView(description.extent);
   const mapElement = make("div", { className: "map", tabIndex: 0, role: "application", ariaLabel: "map: arrow keys move it, + and − zoom" });
   const status = make("div", { className: "status" });
@@ -293,7 +294,7 @@ export async function showView(element, description, transport, { link = false, 
     if (futures) app.timeline.set(futures.start);
     element.append(app.timeline.element);
     map.updateSize();
-    if (beside) app.timeline.clock = () => (beside.leads ? beside.video.currentTime : null);
+    if (beside) app.timeline.clock = () => beside.time;
     addToggle("tracks", null, true, { group: traffic });
     addToggle("trails", null, false, { group: traffic });
     const legend = make("div", {});
@@ -309,7 +310,7 @@ export async function showView(element, description, transport, { link = false, 
     traffic.append(make("label", {}, "colour by", colourBy), legend);
     app.colour("type");
   }
-  if (link) readLink(app);
+  if (link) readLink(app, wanted);
   if (description.marks && app.timeline) {
     readJson(transport, description.marks).then((marks) => {
       app.marks = marks;

@@ -140,7 +140,7 @@ def test_options_that_contradict_are_refused(tmp_path):
     for options, text in (
         (["--near", "50,36"], "need --imagery"),
         (["--imagery", "a.tif", "--near", "50"], "latitude,longitude"),
-        (["--imagery", "a.tif", "--gcps", str(SAMPLES / "gcps.csv")], "give one"),
+        (["--imagery", "a.tif", "--points", str(SAMPLES / "gcps.csv")], "give one"),
     ):
         result = CliRunner().invoke(app, [*command, *options])
         assert result.exit_code == 1
