@@ -9,7 +9,7 @@ from benchmarks.results import describe_machine, write_json
 from geoaim.base.files import atomic_files, write_figure
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.metrics import Metric, bootstrap_interval, summarise
-from geoaim.prediction.report import format_markdown
+from geoaim.prediction.report import format_cell
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,3 +77,29 @@ def compute_seed_means(trainings: Sequence[Metrics]) -> list[dict[str, float]]:
 def compute_differences(one: Metrics, other: Metrics) -> dict[str, tuple[float, float]]:
     """Compute the 95 % interval, by metric, of one method minus another on the same segments."""
     return {name: bootstrap_interval(one[name], other[name]) for name in one if name in other}
+
+
+def format_markdown(summaries: Mapping[str, Mapping[str, Mapping[str, float]]]) -> str:
+    """Format summaries (see `summarise`) as a table, a row for each method by its name.
+
+    The numbers of agents and segments are those of the first metric.
+
+    >>> value = {"mean": 1.0, "low": 0.9, "high": 1.1, "count": 20, "segments": 3}
+    >>> print(format_markdown({"a": {"minADE": value}}))
+    | | agents | segments | minADE |
+    | --- | --- | --- | --- |
+    | a | 20 | 3 | 1 (0.9 to 1.1) |
+    """
+    names = list(dict.fromkeys(name for summary in summaries.values() for name in summary))
+    columns = ["", "agents", "segments", *names]
+    lines = [_format_row(columns), "|" + " --- |" * len(columns)]
+    for method, summary in summaries.items():
+        cells = [format_cell(summary[name]) if name in summary else "" for name in names]
+        first = summary.get(names[0])
+        counts = [f"{first['count']:.0f}", f"{first['segments']:.0f}"] if first else ["", ""]
+        lines.append(_format_row([method, *counts, *cells]))
+    return "\n".join(lines)
+
+
+def _format_row(cells: list[str]) -> str:
+    return " ".join(f"| {cell}".rstrip() for cell in cells) + " |"

@@ -18,15 +18,14 @@ from PIL import Image
 from torch import Tensor
 
 from geoaim.base.errors import TracksError
-from geoaim.base.limits import MAX_POSITION_M, check_memory, refuse_damaged
+from geoaim.base.limits import check_memory, refuse_damaged
 from geoaim.prediction.dataset import stack_maps
 from geoaim.prediction.segments import PEDESTRIAN, Segments
 from geoaim.rendering.ground import GREY, Ground, View, make_ground
-from geoaim.tracks.files import read_table
-from geoaim.tracks.formats.shared import check_columns
-from geoaim.tracks.formats.stanford import read_resolutions
+from geoaim.tracks.formats.stanford import WINDOW_STEPS as WINDOW_STEPS
+from geoaim.tracks.formats.stanford import read_resolutions, read_trajnet_windows
 
-HISTORY_STEPS, WINDOW_STEPS = 8, 20
+HISTORY_STEPS = 8
 DT_S = 0.4
 PEDESTRIAN_SIZE_M = 0.5
 MIN_HEADING_TRAVEL_M = 0.15  # a shorter displacement gives no reliable heading
@@ -95,7 +94,7 @@ def read_windows(
     else:
         images = Path(files.images)
         grounds = [_read_ground(images, name, scales[name], transform) for name in names]
-    paths = [_read_paths(folder / f"{name}.csv", scales[name]) for name in names]
+    paths = [read_trajnet_windows(folder / f"{name}.csv", scales[name]) for name in names]
     scene_of = [name for name, path in zip(names, paths, strict=True) for _ in path]
     resolutions = torch.tensor([scales[name] for name in scene_of], dtype=torch.float32)
     segments = make_path_segments(torch.cat([torch.tensor(path).float() for path in paths]))
@@ -136,22 +135,6 @@ def reverse_paths(segments: Segments) -> Segments:
     """Reverse the paths of `make_path_segments` in time, as an augmentation."""
     reversed_paths = make_path_segments(segments.states[:, 0, :, :2].flip(1))
     return replace(reversed_paths, places=segments.places)
-
-
-def _read_paths(path: Path, resolution: float) -> Float[Array, "B T 2"]:
-    """The paths of all windows, metres to the right and up."""
-    table = read_table(path, text=("track",))
-    check_columns(path, table, numbers=("u_px", "v_px"), others=("frame", "track"))
-    metres = table[["u_px", "v_px"]].to_numpy(float) * [resolution, -resolution]
-    tracks = table["track"].to_numpy()
-    if len(table) % WINDOW_STEPS or not (np.abs(metres) <= MAX_POSITION_M).all():
-        raise TracksError(
-            f"{path}: {len(table)} rows; windows of {WINDOW_STEPS} rows each, with pixels of an "
-            "image, are needed"
-        )
-    if (tracks.reshape(-1, WINDOW_STEPS) != tracks[::WINDOW_STEPS, None]).any():
-        raise TracksError(f"{path}: a window of {WINDOW_STEPS} rows has more than one track")
-    return metres.reshape(-1, WINDOW_STEPS, 2)
 
 
 def _read_ground(

@@ -8,7 +8,6 @@ from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, bootstrap_interval, compute_metrics, concat, summarise
-from geoaim.prediction.report import format_markdown
 from geoaim.prediction.segments import pick
 from geoaim.simulation.infractions import Drivable
 from geoaim.simulation.road_rules import RoadRules
@@ -132,15 +131,6 @@ def test_constant_turn_rate_continues_a_curve():
     truth = segments.states[:, None]
     last = (slice(None), slice(None), 0, -1, slice(2))
     assert (bent - truth)[last].norm() < (straight - truth)[last].norm() / 2
-
-
-def test_tables_have_the_columns_of_all_methods():
-    counts = {"count": 20, "segments": 3}
-    one = {"minADE": {"mean": 1.0, "low": 0.9, "high": 1.1, **counts}}
-    both = {**one, "off-road rate": {"mean": 0.1, "low": 0.0, "high": 0.2, **counts}}
-    lines = format_markdown({"pedestrians": one, "vehicles": both}).splitlines()
-    assert lines[0] == "| | agents | segments | minADE | off-road rate |"
-    assert lines[2] == "| pedestrians | 20 | 3 | 1 (0.9 to 1.1) | |"
 
 
 def test_intervals_need_ten_segments():

@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
+from numpy import ndarray as Array
 
 from geoaim.base.errors import TracksError
+from geoaim.base.limits import MAX_POSITION_M
 from geoaim.base.world import World
 from geoaim.tracks.files import read_table
 from geoaim.tracks.formats.motion import make_tracks_from_positions
@@ -16,6 +19,7 @@ from geoaim.tracks.formats.shared import TrackFormat, check_columns, check_resol
 from geoaim.tracks.tracks import Tracks
 
 FRAME_RATE = 30.0
+WINDOW_STEPS = 20  # of a window of TrajNet
 HALF_WINDOW_S = 0.5  # half the time over which positions are differenced
 BOX = ("left", "top", "right", "bottom")
 COLUMNS = ("id", *BOX, "frame", "lost", "occluded", "generated", "label")
@@ -112,6 +116,26 @@ def read_trajnet(path: str | os.PathLike[str], *, resolution: float | None = Non
         }
     )
     return make_tracks_from_positions(rows, World(None), half_window=HALF_WINDOW_S)
+
+
+def read_trajnet_windows(path: Path, resolution: float) -> Float[Array, "B T 2"]:
+    """Read TrajNet's windows of one scene as paths, metres to the right and up.
+
+    Raises:
+        TracksError: columns are missing, or rows are not windows of `WINDOW_STEPS` of one track.
+    """
+    table = read_table(path, text=("track",))
+    check_columns(path, table, numbers=("u_px", "v_px"), others=("frame", "track"))
+    metres = table[["u_px", "v_px"]].to_numpy(float) * [resolution, -resolution]
+    tracks = table["track"].to_numpy()
+    if len(table) % WINDOW_STEPS or not (np.abs(metres) <= MAX_POSITION_M).all():
+        raise TracksError(
+            f"{path}: {len(table)} rows; windows of {WINDOW_STEPS} rows each, with pixels of an "
+            "image, are needed"
+        )
+    if (tracks.reshape(-1, WINDOW_STEPS) != tracks[::WINDOW_STEPS, None]).any():
+        raise TracksError(f"{path}: a window of {WINDOW_STEPS} rows has more than one track")
+    return metres.reshape(-1, WINDOW_STEPS, 2)
 
 
 def _look_up_resolution(path: Path) -> float:

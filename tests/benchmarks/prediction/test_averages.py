@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from benchmarks.prediction.averages import average_seeds, bootstrap_trainings, merge_segments
+from benchmarks.prediction.results import format_markdown
 from geoaim.prediction.metrics import Metric, bootstrap_interval, keep_rates, summarise
-from geoaim.prediction.report import format_markdown
 
 
 def test_one_segment_has_no_interval():
@@ -45,3 +45,12 @@ def test_places_that_are_hard_for_both_do_not_widen_a_difference():
     assert low == pytest.approx(high) == pytest.approx(0)
     with pytest.raises(ValueError, match="1 trainings at 12 places"):
         bootstrap_trainings(hard[:1])
+
+
+def test_tables_have_the_columns_of_all_methods():
+    counts = {"count": 20, "segments": 3}
+    one = {"minADE": {"mean": 1.0, "low": 0.9, "high": 1.1, **counts}}
+    both = {**one, "off-road rate": {"mean": 0.1, "low": 0.0, "high": 0.2, **counts}}
+    lines = format_markdown({"pedestrians": one, "vehicles": both}).splitlines()
+    assert lines[0] == "| | agents | segments | minADE | off-road rate |"
+    assert lines[2] == "| pedestrians | 20 | 3 | 1 (0.9 to 1.1) | |"

@@ -36,7 +36,7 @@ def test_zero_shot_models_stand_beside_baselines_and_the_recordings_rates(
     some = zero_shot.RecordingSet("vehicle", cases, SEGMENT_STEPS["vehicle"])
     monkeypatch.setattr(zero_shot, "_list_sets", lambda: {"here, 1 place, vehicles": some})
     methods = read_methods(zero_shot.run(Workspace(tmp_path, tmp_path)))
-    rows = "ITRA", *BASELINES, "recording", "ITRA, networks alone", "ITRA without reacting"
+    rows = "ITRA", *BASELINES, "recording", "ITRA, networks alone"
     names = [f"here, 1 place, vehicles, {name}" for name in rows]
     assert list(methods) == names
     assert methods[names[0]]["minADE"]["segments"] == 2
