@@ -20,8 +20,8 @@ FRAMES = 4  # spread over a video, by which its scale is proposed
 SEARCHED = 2  # frames that are searched at all scales; all of them around the best one
 MAX_PIXELS = 2.0e6  # of a picture that is searched, of the network's resolution: half a second
 MIN_VEHICLES = 5.0
-# standard deviation of a scale, as a share: between places whose scale is known (1 to 9 % off on
-# Munich, Songdo and drawn places), and of one vehicle
+# standard deviation of a scale, as a share: between places whose scale is known (4 to 8 % off on
+# the stills of Munich and Songdo that trained), and of one vehicle
 PLACES, ONE = 0.08, 0.25
 
 
@@ -94,7 +94,7 @@ def weigh_scale(images: Sequence[UInt8[Array, "H W 3"]], resolution: float) -> t
     """Weigh the evidence for a scale: the sum of positive log odds a picture, and their number.
 
     What is false grows with the picture that is searched, and vehicles do not: divided by the
-    scale, the sum peaks within 9 % of the true one (Munich, Songdo, five drawn places).
+    scale, the sum peaks within 8 % of the true one (Munich, Songdo, three drawn places).
     """
     parts = [
         find_peaks(resample(_crop(image, resolution), resolution), 0.0).logits for image in images
