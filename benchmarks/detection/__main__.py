@@ -16,10 +16,12 @@ FOLDER = Path("build/experiments/detection")
 
 @app.command()
 def train(output: Folder = FOLDER, seed: int = 0) -> None:
-    """Train on drawn pictures, then with stills as well; about twenty minutes of one core."""
-    from benchmarks.detection.training import train_both
+    """Train on drawn pictures, then with stills as well; about half an hour of one core."""
+    from benchmarks.detection.training import train_all
+    from geoaim.cli.console import report_errors
 
-    train_both(output, seed)
+    with report_errors():
+        train_all(output, seed)
 
 
 @app.command()

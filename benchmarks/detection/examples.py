@@ -13,7 +13,7 @@ HIDDEN, GONE = 0.5, 0.85  # shares hidden: between them a vehicle counts neither
 
 def degrade(
     image: UInt8[Array, "H W 3"], generator: np.random.Generator
-) -> Float32[Array, "H W 3"]:
+) -> Float32[Array, "3 H W"]:
     """Change a picture as light, haze, optics, compression and coarse pixels do; 0 to 1."""
     g = generator
     x: Array = image.astype(np.float32) / 255

@@ -31,6 +31,7 @@ REPEATS = 6
 TEST_SCENES, PIXELS = 60, 224  # drawn scenes that no network was trained on, and their side
 KHARKIV = 0.42  # metres per pixel, by the corners that come with the video, 0.41 to 0.43
 MODELS = "with stills", "drawings alone"
+COARSER = RESOLUTION / 0.28  # of the network of drawings alone, which saw 0.28 m a pixel
 
 
 def measure_detection(drawn: Path) -> Results:
@@ -38,7 +39,7 @@ def measure_detection(drawn: Path) -> Results:
     models = {MODELS[0]: MODEL} | ({MODELS[1]: drawn} if drawn.exists() else {})
     stills = {kind.name: list(read_stills(kind)) for kind in JUDGING}
     judged = {
-        (title, name): judge_stills(own, model)
+        (title, name): judge_stills(own, model, scale=1.0 if model == MODEL else COARSER)
         for title, model in models.items()
         for name, own in stills.items()
     }

@@ -1,5 +1,6 @@
 """Training of the detector: drawn pictures without end, and perhaps stills."""
 
+import importlib.util
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +23,19 @@ from benchmarks.detection.exporting import export_network, fit_calibration, writ
 from benchmarks.detection.judging import join, judge_stills
 from benchmarks.detection.network import Network
 from benchmarks.detection.scenes import draw_scene
-from benchmarks.detection.stills import TRAINING, Still, draw_stills, read_roofs, read_stills, split
-from geoaim.detection.network import read_calibration
+from benchmarks.detection.stills import (
+    TRAINING,
+    Still,
+    draw_stills,
+    read_palace,
+    read_roofs,
+    read_stills,
+    split,
+)
+from geoaim.base.errors import GeoaimError
+from geoaim.detection.network import RESOLUTION, read_calibration
 
 PIXELS = 224  # side of an example
-RESOLUTION = 0.28  # metres per pixel that the network works at
 BATCH = 6
 POOL = 600  # drawn scenes that are kept; each is shown about three times
 Example = tuple[np.ndarray, ...]
@@ -35,26 +44,25 @@ Example = tuple[np.ndarray, ...]
 class Scenes:
     """Scenes that are drawn while the network learns, each of which is shown a few times."""
 
-    def __init__(self, generator: np.random.Generator, drawn: int = 1) -> None:
-        self.generator, self.drawn = generator, drawn
+    def __init__(self, generator: np.random.Generator, stage: "Stage") -> None:
+        self.generator, self.stage = generator, stage
         self.pool: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     def take(self, number: int) -> list[Example]:
-        """Take examples, some of them newly drawn."""
+        """Take examples, one of them newly drawn."""
         g = self.generator
-        for _ in range(self.drawn):
-            # a video's scale is known to a tenth: cars are drawn larger or smaller than they are
-            drawn = draw_scene(PIXELS, RESOLUTION * np.exp(g.normal(0, 0.1)), g)
-            self.pool.append(drawn)
-            if len(self.pool) > POOL:
-                self.pool.pop(0)
-        picks = [len(self.pool) - 1 - k for k in range(self.drawn)]
-        picks += list(g.integers(len(self.pool), size=number - self.drawn))
+        # a video's scale is known to a tenth: cars are drawn larger or smaller than they are
+        resolution = self.stage.resolution
+        drawn = draw_scene(PIXELS, resolution * np.exp(g.normal(0, self.stage.scatter)), g)
+        self.pool.append(drawn)
+        if len(self.pool) > POOL:
+            self.pool.pop(0)
+        picks = [len(self.pool) - 1, *g.integers(len(self.pool), size=number - 1).tolist()]
         examples: list[Example] = []
         for k in picks:
             image, boxes, hidden = self.pool[k]
             image, boxes = flip_and_turn(image, boxes, g)
-            target = make_target(boxes, hidden, PIXELS, RESOLUTION)
+            target = make_target(boxes, hidden, PIXELS, resolution)
             examples.append((degrade(image, g), *target, np.array(False)))
         return examples
 
@@ -62,8 +70,10 @@ class Scenes:
 class Stills:
     """Crops of labelled stills, whose boxes are upright: they tell the middle and the extent."""
 
-    def __init__(self, places: list[list[Still]], generator: np.random.Generator) -> None:
-        self.generator, self.places = generator, places
+    def __init__(
+        self, places: list[list[Still]], generator: np.random.Generator, stage: "Stage"
+    ) -> None:
+        self.generator, self.places, self.stage = generator, places, stage
 
     def take(self, number: int) -> list[Example]:
         """Take examples, of each place as often: around a vehicle, or anywhere."""
@@ -75,7 +85,8 @@ class Stills:
 
     def _cut(self, still: Still) -> Example:
         g, side = self.generator, PIXELS
-        factor = still.resolution / RESOLUTION * np.exp(g.normal(0, 0.1))
+        resolution = self.stage.resolution
+        factor = still.resolution / resolution * np.exp(g.normal(0, self.stage.scatter))
         height, width = still.image.shape[:2]
         middle = g.uniform(0, 1, 2) * [width, height]
         labelled = np.flatnonzero(~still.ignored)
@@ -100,7 +111,7 @@ class Stills:
         known = cv2.warpAffine(np.full(small.shape[:2], 255, np.uint8), shifted, (side, side)) > 250
         corners = (still.boxes.reshape(-1, 2, 2) - origin) * factor @ turn.T + matrix[:, 2]
         ends = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
-        parts = make_upright_target(ends, still.ignored, known, RESOLUTION)
+        parts = make_upright_target(ends, still.ignored, known, resolution)
         return degrade(image, g), *parts, np.array(True)
 
 
@@ -144,10 +155,15 @@ class Stage:
     steps: int
     learning_rate: float  # the highest
     stills: int  # of the examples of a batch
+    scatter: float  # standard deviation of the logarithm of how large vehicles are shown
+    resolution: float  # metres per pixel
 
 
-DRAWN = Stage(4500, 4e-3, 0)
-WITH_STILLS = Stage(1200, 1.5e-3, 3)
+DRAWN = Stage(4500, 4e-3, 0, 0.1, 0.28)
+WITH_STILLS = Stage(1200, 1.5e-3, 3, 0.1, 0.28)
+OTHER_SIZES = Stage(1500, 1.5e-3, 3, 0.15, 0.28)
+FINER = Stage(800, 1e-3, 3, 0.1, RESOLUTION)
+AVERAGED = 2  # trainings of the last stage
 
 
 def train(
@@ -157,7 +173,7 @@ def train(
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     generator = np.random.default_rng(seed)
-    scenes, crops = Scenes(generator), Stills(stills, generator)
+    scenes, crops = Scenes(generator, stage), Stills(stills, generator, stage)
     network.to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=1e-4)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -183,28 +199,59 @@ def train(
     torch.save(network.state_dict(), path)
 
 
-def train_both(folder: Path, seed: int = 0) -> None:
-    """Train on drawings alone, then with stills; write drawn.onnx and vehicles.onnx to a folder."""
+def train_all(folder: Path, seed: int = 0) -> None:
+    """Train on drawings alone, then with stills; write drawn.onnx and vehicles.onnx to a folder.
+
+    The weights that are shipped are the mean of those with stills and of several that went on from
+    there, which is better than any of them on the stills of validation.
+
+    Raises:
+        GeoaimError: the package `onnx` is missing, which the files need.
+    """
+    if importlib.util.find_spec("onnx") is None:
+        raise GeoaimError("the package onnx, which writes the network, is missing: install it")
     folder.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(seed)
     network = Network()
     places = [list(read_stills(kind)) for kind in TRAINING]
     halves = [[split(still) for still in place] for place in places]
-    for stage, name in ((DRAWN, "drawn"), (WITH_STILLS, "vehicles")):
-        stills = [[first for first, _ in place] for place in halves] + [read_roofs()]
-        train(network, stage, folder / f"{name}.pt", stills=stills, seed=seed)
-        validation = [[second for _, second in place] for place in halves]
-        finish(network, [*validation, list(draw_stills(60))], folder / f"{name}.onnx")
+    stills = [[first for first, _ in place] for place in halves] + [read_roofs()]
+    validation = [*([second for _, second in place] for place in halves), list(draw_stills(60))]
+    train(network, DRAWN, folder / "drawn.pt", stills=stills, seed=seed)
+    finish(network, validation, folder / "drawn.onnx", RESOLUTION / DRAWN.resolution)
+    train(network, WITH_STILLS, folder / "stills.pt", stills=stills, seed=seed)
+    parts, stills = [folder / "stills.pt"], [*stills, [read_palace()]]
+    train(network, OTHER_SIZES, folder / "sizes.pt", stills=stills, seed=seed + 1)
+    for number in range(AVERAGED):
+        network.load_state_dict(torch.load(folder / "sizes.pt"))
+        parts.append(folder / f"finer{number}.pt")
+        train(network, FINER, parts[-1], stills=stills, seed=seed + 2 + number)
+    network.load_state_dict(average_weights([torch.load(part) for part in parts]))
+    finish(network, validation, folder / "vehicles.onnx")
 
 
-def finish(network: Network, validation: list[list[Still]], path: Path) -> None:
+def average_weights(parts: list[dict[str, Tensor]]) -> dict[str, Tensor]:
+    """Average the weights of networks that began as one.
+
+    >>> average_weights([{"a": torch.ones(1)}, {"a": torch.zeros(1)}])["a"].item()
+    0.5
+    """
+    return {
+        name: (sum((part[name].float() for part in parts), torch.zeros(())) / len(parts)).to(
+            value.dtype
+        )
+        for name, value in parts[0].items()
+    }
+
+
+def finish(network: Network, validation: list[list[Still]], path: Path, scale: float = 1.0) -> None:
     """Export a network, with probabilities that are calibrated on places of validation.
 
     Each place counts alike: most labels are of one place, where little else looks like a vehicle.
     """
     export_network(network, path)
     write_calibration({"slope": 1.0, "offset": 0.0}, path.with_suffix(".json"))
-    judged = [judge_stills(stills, path) for stills in validation]
+    judged = [judge_stills(stills, path, scale=scale) for stills in validation]
     weights = np.concatenate([np.full(len(j.logits), 1 / len(j.logits)) for j in judged])
     found = join(judged)
     line = fit_calibration(found.logits, found.right, weights)

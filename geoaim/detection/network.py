@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 
 MODEL = Path(__file__).parent / "models" / "vehicles.onnx"
-RESOLUTION = 0.28  # metres per pixel of the pictures that the network was trained on
+RESOLUTION = 0.265  # metres per pixel of the pictures that the network was trained on
 STRIDE = 4  # pixels of a cell of its output
 STEP = 8  # its input's height and width are multiples of it, pixels
 LENGTH, WIDTH = 4.5, 1.85  # metres: it gives sizes as logarithms of shares of them

@@ -6,13 +6,14 @@ from functools import partial
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from numpy import ndarray as Array
 
 from geoaim.base.errors import warn
 from geoaim.base.geometry import transform_points
 from geoaim.mapping.video.detections import DetectedBoxes
 
+WIDEST = 1280  # pixels of a frame's longer side that are compared
 FRAMES = 12  # spread over the video, in which boxes are compared with the picture
 MIN_BOXES = 20  # of agents that moved on; fewer tell nothing
 CLEAR = 8.0  # times the median difference from the map: that of an agent
@@ -28,7 +29,7 @@ Bounds = Float[Array, "_ 4"]  # left, top, right, bottom; pixels
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A frame, and where it differs from the map as it sees it."""
+    """A frame, perhaps reduced, and where it differs from the map as it sees it."""
 
     index: int  # of the frame
     differs: Float[Array, "H W"]  # 0 to 1
@@ -52,6 +53,17 @@ class _Reading:
     read: Callable[[int], Bounds | None]
 
 
+def shrink(grey: UInt8[Array, "H W"]) -> UInt8[Array, "h w"]:
+    """Reduce a grey frame to what is compared.
+
+    >>> shrink(np.zeros((2160, 3840), np.uint8)).shape
+    (720, 1280)
+    """
+    factor = min(WIDEST / max(grey.shape), 1.0)
+    size = [round(side * factor) for side in grey.shape[::-1]]
+    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
 def compare(frame: Shaped[Array, "H W"], view: Shaped[Array, "H W"], known: Array) -> Array:
     """Compare a grey frame with the map as it sees it: 0 where they are alike, 1 where they differ.
 
@@ -67,6 +79,7 @@ def check_evidence(
     views: Sequence[View],
     boxes: Mapping[int, DetectedBoxes | None],
     reference_from_frame: Mapping[int, Float[Array, "3 3"]],
+    size: tuple[int, int],
     rate: float,
 ) -> None:
     """Warn where boxes do not lie on what differs from the map, or would do so read otherwise.
@@ -77,6 +90,7 @@ def check_evidence(
         views: some frames.
         boxes: of all frames, by their numbers.
         reference_from_frame: transforms of pixels to those of one frame; NaN where not known.
+        size: (width, height) of the frames.
         rate: frames per second.
     """
     if not views:
@@ -87,13 +101,12 @@ def check_evidence(
     ]
     usual = float(np.mean([view.differs[view.known].mean() for view in views]))
     moving = _find_moving(boxes, reference_from_frame)
-    size = views[0].differs.shape[1], views[0].differs.shape[0]
-    given, count = _weigh(sums, moving.get, usual)
+    given, count = _weigh(sums, moving.get, usual, size)
     if count < MIN_BOXES:
         return
     best, text = given, ""
     for reading in _list_readings(moving, size, reference_from_frame, rate):
-        value, number = _weigh(sums, reading.read, usual)
+        value, number = _weigh(sums, reading.read, usual, size)
         if number >= max(MIN_BOXES, count / 2) and value > best:
             best, text = value, reading.text
     found = f"of boxes that move {max(given, 0):.0%} differs from the map"
@@ -125,7 +138,7 @@ def _find_moving(
 
 
 def _weigh(
-    sums: Sequence[_Sums], read: Callable[[int], Bounds | None], usual: float
+    sums: Sequence[_Sums], read: Callable[[int], Bounds | None], usual: float, size: tuple[int, int]
 ) -> tuple[float, int]:
     """Weigh how much of the boxes differs from the map, less what does so anywhere; and count."""
     shares = []
@@ -133,8 +146,9 @@ def _weigh(
         own = read(view.index)
         if own is None or not len(own):
             continue
-        middle, half = (own[:, :2] + own[:, 2:]) / 2, INNER * (own[:, 2:] - own[:, :2]) / 2
         limits = np.array(view.known.shape[::-1] * 2) - 1
+        own = own * (limits / np.array(size * 2))
+        middle, half = (own[:, :2] + own[:, 2:]) / 2, INNER * (own[:, 2:] - own[:, :2]) / 2
         ends = np.concatenate([middle - half, middle + half], axis=1)
         ends = ends.round().clip(0, limits).astype(int)
         area = _add_up(view.known, ends)

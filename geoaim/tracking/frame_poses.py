@@ -23,7 +23,7 @@ from geoaim.mapping.registration.register import Registration, register
 from geoaim.mapping.video.detections import DetectedBoxes, Detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video
-from geoaim.tracking.box_evidence import FRAMES, View, check_evidence, compare
+from geoaim.tracking.box_evidence import FRAMES, View, check_evidence, compare, shrink
 
 MIN_COVERED = 0.3  # share of the reference frame that the AIM must cover
 
@@ -84,12 +84,14 @@ def _check_boxes(
     views = []
     for row, frame in zip(rows, video.frames_at(poses.times[rows]), strict=False):
         matrix = np.linalg.inv(aim.world_from_image) @ poses.world_from_frame[row]
-        view, seen = view_aim(grey, aim.coverage > 0, matrix, frame.grey.shape)
+        small = shrink(frame.grey)
+        ratio = np.array([*frame.grey.shape[::-1], 1]) / [*small.shape[::-1], 1]
+        view, seen = view_aim(grey, aim.coverage > 0, matrix @ np.diag(ratio), small.shape)
         if seen.any():
-            views.append(View(frame.index, compare(frame.grey, view, seen), seen))
+            views.append(View(frame.index, compare(small, view, seen), seen))
     numbers = poses.registration.index.tolist()
     matrices = dict(zip(numbers, poses.registration.reference_from_frame, strict=True))
-    check_evidence(views, boxes, matrices, video.listed.rate)
+    check_evidence(views, boxes, matrices, (video.width, video.height), video.listed.rate)
 
 
 def place_reference(

@@ -41,7 +41,8 @@ def check(views, read):
     boxes = {step: DetectedBoxes(own) for step in range(FRAMES) if (own := read(step)) is not None}
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
-        check_evidence(views, boxes, {step: drift(step) for step in range(FRAMES)}, RATE)
+        matrices = {step: drift(step) for step in range(FRAMES)}
+        check_evidence(views, boxes, matrices, (WIDTH, HEIGHT), RATE)
     return " ".join(str(one.message) for one in said)
 
 
