@@ -18,7 +18,7 @@ RESULTS = ("docs/bench", "docs/experiments")
 # that fits counts
 STAGES = {
     "python -m benchmarks.alignment": ("imagery",),
-    "python -m benchmarks.background.own_boxes": ("mapping/background", "tracking"),
+    "python -m benchmarks.background.own_boxes": ("mapping/background", "detection"),
     "python -m benchmarks.background": ("mapping/background", "mapping/registration"),
     "python -m benchmarks.catalog": ("catalog",),
     "python -m benchmarks.detection": ("detection",),
