@@ -19,7 +19,7 @@ RESULTS = ("docs/bench", "docs/experiments")
 # first that fits counts
 STAGES = {
     "python -m benchmarks.alignment": ("geoaim/imagery",),
-    "python -m benchmarks.background.own_boxes": ("geoaim/mapping/background", "geoaim/tracking"),
+    "python -m benchmarks.background.own_boxes": ("geoaim/mapping/background", "geoaim/detection"),
     "python -m benchmarks.background": ("geoaim/mapping/background", "geoaim/mapping/registration"),
     "python -m benchmarks.catalog": ("geoaim/catalog",),
     "python -m benchmarks.detection": ("geoaim/detection",),

@@ -1,10 +1,11 @@
 """Vehicles found without boxes, against the truth of made videos.
 
     python -m benchmarks.tracking.without_detector --json docs/bench/without_detector.json
+    python -m benchmarks.tracking.without_detector --real-cars --json docs/bench/real_cars.json
 
-Drawn places with shadows, and (with GEOAIM_DATA) real stills with real cars on them: two junctions
-in Songdo, of which one has also trained the network, and one in Minsk, which has not. The videos
-are encoded, and the maps built of them. Vehicles that move and that stand at a time are judged, in
+Drawn places with shadows, and (with GEOAIM_DATA) two stills of Songdo with real cars on them, of
+which one has also trained the network; or a junction in Minsk, which has not. The videos are
+encoded, and the maps built of them. Vehicles that move and that stand at a time are judged, in
 the frames that are searched; cars that are drawn with the ground, and people (7 px wide), are not.
 TrackEval judges identities: `pip install trackeval`.
 """
@@ -147,26 +148,34 @@ def _drop_others(
 
 
 def make_cases(seed: int, folder: Path) -> Iterator[FilmedCase]:
-    """Make the videos of all generators."""
+    """Make the videos of drawn places and of stills."""
     for number, kind in enumerate(PLACES):
         yield film_drawn(kind, seed + number, folder, seconds=SECONDS)
     if find_data() is not None:
         for still, difficulty in zip(STILLS, STILL_KINDS, strict=True):
             yield film_still(still, difficulty, seed, folder, count=STILL_FRAMES)
-        for condition in CONDITIONS:
-            yield film_real_cars(condition, seed, folder, count=REAL_FRAMES)
+
+
+def film_conditions(seed: int, folder: Path) -> Iterator[FilmedCase]:
+    """Film a real junction with its own cars under all `CONDITIONS`."""
+    for condition in CONDITIONS:
+        yield film_real_cars(condition, seed, folder, count=REAL_FRAMES)
 
 
 def main(
     json: JsonFile = None,
     validation: Annotated[bool, typer.Option(help="the validation videos")] = False,
+    real_cars: Annotated[bool, typer.Option(help="a real junction with its own cars")] = False,
 ) -> None:
     """Measure vehicles found without boxes."""
     cv2.setNumThreads(1)
-    with tempfile.TemporaryDirectory() as folder:
-        cases = make_cases(VALIDATION_SEED if validation else TEST_SEED, Path(folder))
+    seed = VALIDATION_SEED if validation else TEST_SEED
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        cases = film_conditions(seed, folder) if real_cars else make_cases(seed, folder)
         rows = print_rows(measure_case(case) for case in cases)
-    write_rows(rows, json, command="python -m benchmarks.tracking.without_detector")
+    command = "python -m benchmarks.tracking.without_detector" + " --real-cars" * real_cars
+    write_rows(rows, json, command=command)
 
 
 if __name__ == "__main__":

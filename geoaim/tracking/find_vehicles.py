@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float, Float32, Int, UInt8
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
@@ -29,7 +29,8 @@ LOWEST = -2.0  # log odds of the network; of the vehicles of validation videos 9
 # log odds of a vehicle in a video: the network's, less `STILL`, more `MOVED` for each e-fold by
 # which the difference from the map exceeds `USUAL` times what is typical of the frame. Chosen on
 # two stills of Songdo with real cars that drive, and judged on another city
-STILL, MOVED, USUAL = 2.0, 4.0, 2.0
+STILL, MOVED, USUAL = 2.0, 2.0, 2.0
+MAX_SHARED = 0.1  # of a box that lies in a better one; more is its shadow or a piece of it
 MIN_PROBABILITY = 0.3  # of a box that may belong to a track
 MIN_CERTAINTY = 0.5  # mean probability of a track; 0 counts for the frames without its box
 MAX_POSE_SIGMA_M = 0.45  # a quarter of a car's width; rims of what stands then differ as cars do
@@ -149,7 +150,8 @@ def _weigh(peaks: Peaks, excess: Float32[Array, "H W"], shrink: Float[Array, "2"
     moved = np.log(np.maximum(excess[rows, columns].mean(axis=1) / USUAL, 1))
     slope, offset = read_calibration()
     odds = slope * peaks.logits + offset - STILL + MOVED * moved
-    kept = np.flatnonzero(odds > np.log(MIN_PROBABILITY / (1 - MIN_PROBABILITY)))
+    likely = np.flatnonzero(odds > np.log(MIN_PROBABILITY / (1 - MIN_PROBABILITY)))
+    kept = likely[_find_single(corners[likely], inside[likely], odds[likely])]
     is_long = peaks.lengths[kept] * RESOLUTION > MAX_CAR_LENGTH_M
     bounds = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
     return DetectedBoxes(
@@ -158,6 +160,21 @@ def _weigh(peaks: Peaks, excess: Float32[Array, "H W"], shrink: Float[Array, "2"
         1 / (1 + np.exp(-odds[kept])),
         tuple(np.where(is_long, "truck", "car").tolist()),
     )
+
+
+def _find_single(
+    corners: Float[Array, "N 4 2"], inside: Float[Array, "N n 2"], odds: Float[Array, " N"]
+) -> Int[Array, " M"]:
+    """Find which boxes lie on no better one, by points inside them."""
+    sides = corners[:, [1, 3]] - corners[:, :1]
+    single: list[int] = []
+    for row in np.argsort(-odds).tolist():
+        offsets = inside[row] - corners[single, :1]
+        shares = offsets @ sides[single].swapaxes(1, 2) / (sides[single] ** 2).sum(2)[:, None]
+        within = ((shares > 0) & (shares < 1)).all(axis=2).mean(axis=1)
+        if within.max(initial=0) <= MAX_SHARED:
+            single.append(row)
+    return np.sort(np.array(single, int))
 
 
 def keep_certain(

@@ -84,9 +84,9 @@ def test_frames_that_are_registered_badly_are_not_compared(aim, video, poses):
         search_frames(video, aim, replace(poses, registration=doubtful))
 
 
-def weigh(logits, excess, lengths=(16.0, 16.0)):
+def weigh(logits, excess, lengths=(16.0, 16.0), second=(60.0, 20.0)):
     """Weigh two boxes of 16 x 7 pixels; in the second the frame differs from the map so much."""
-    centres = np.array([[20.0, 20.0], [60.0, 20.0]])
+    centres = np.array([[20.0, 20.0], second])
     picture = np.ones((40, 80), np.float32)
     picture[:, 40:] = excess
     widths = np.full(2, 7.0)
@@ -95,16 +95,21 @@ def weigh(logits, excess, lengths=(16.0, 16.0)):
 
 
 def test_what_differs_from_the_map_is_more_probably_a_vehicle():
-    assert len(weigh([-0.5, -0.5], 1.0).boxes) == 0
-    moved = weigh([-0.5, -0.5], 10.0)
+    assert len(weigh([-0.2, -0.2], 1.0).boxes) == 0
+    moved = weigh([-0.2, -0.2], 12.0)
     np.testing.assert_allclose(moved.get_corners().mean(axis=1), [[120, 40]])  # of a whole frame
-    assert moved.scores[0] > 0.9
-    sure = weigh([1.5, 1.5], 10.0)
-    assert 0.9 < sure.scores[0] < sure.scores[1]
+    assert moved.scores[0] > 0.8
+    sure = weigh([1.0, 1.0], 12.0)
+    assert 0.8 < sure.scores[0] < sure.scores[1]
 
 
 def test_difference_alone_is_no_vehicle():
     assert len(weigh([-4.0, -4.0], 10.0).boxes) == 0
+
+
+def test_a_shadow_beside_a_vehicle_is_no_second_one():
+    assert len(weigh([2.0, 1.0], 1.0, second=(22.0, 25.0)).boxes) == 1
+    assert len(weigh([2.0, 1.0], 1.0, second=(20.0, 28.0)).boxes) == 2  # the next lane
 
 
 def test_what_is_found_is_a_car_or_longer_than_one():
