@@ -7,10 +7,11 @@ import re
 import subprocess
 import sys
 from importlib import import_module
+from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import jsonschema
 import numpy as np
@@ -143,6 +144,29 @@ def test_the_search_of_pages_on_the_disk_finds_guides_first(site: Path, chromium
             _wait_for_result(page, first)
         browser.close()
     assert all(url.startswith("file:") for url in asked), asked
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pages_have_names_and_contrasts(
+    site: Path, chromium: str, scheme: Literal["light", "dark"]
+) -> None:
+    from playwright.sync_api import sync_playwright
+
+    pytest.importorskip("axe_playwright_python", reason="axe-playwright-python is not installed")
+    axe = (files("axe_playwright_python") / "axe.min.js").read_text("utf-8")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page(color_scheme=scheme)
+        for name in ("index", "tutorials/own_video", "guides/view"):
+            page.goto((site / f"{name}.html").as_uri())
+            page.evaluate(axe)
+            found = page.evaluate(
+                "axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21aa']}).then("
+                "({violations}) => violations.map(({id, nodes}) => `${id}: ${nodes[0].html}`))"
+            )
+            assert found == [], name
+        browser.close()
 
 
 def _wait_for_result(page: "Page", address: str) -> None:
