@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,21 @@ MAX_UNUSED = 0.25  # share of boxes in no track without a warning
 # s; tracks that last less are pieces of others. Of 33 on two videos without a detector none has the
 # speed of a vehicle
 MIN_TRACK_S = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedVideo:
+    """The tracks of a video, and what they are of.
+
+    Attributes:
+        tracks: a state for each frame in which an agent is there.
+        poses: where the frames lie, in the order of the tracks' times.
+        unused: share of the boxes that are in no track.
+    """
+
+    tracks: Tracks
+    poses: FramePoses
+    unused: float
 
 
 def track_video(
@@ -71,7 +86,19 @@ def track_video(
         TracksError: no track is found.
         GeoaimError: detections are in no known format.
     """
-    opened = open_video(video)
+    given = hdmap, flying_height, progress
+    return follow_video(open_video(video), aim, detections, *given).tracks
+
+
+def follow_video(
+    opened: Video,
+    aim: AIM,
+    detections: DetectionSource | None,
+    hdmap: HDMap | None,
+    flying_height: float | None,
+    progress: Progress,
+) -> FollowedVideo:
+    """Track the agents of a video as `track_video` does, and keep where its frames lie."""
     if detections is None:
         poses = locate_frames(opened, aim, None, progress)
         known = search_frames(opened, aim, poses, progress)
@@ -82,12 +109,13 @@ def track_video(
     times = find_image_times(opened, poses.registration.index, poses.times)
     followed = _follow_boxes(known, poses.world_from_frame, times, size, flying_height)
     tracks = _drop_fragments(make_states(*followed, times, aim.world, lanes))
-    if detections is not None:
+    if detections is None:
+        tracks = finish_tracks(tracks)
+        check_scale(tracks, aim)
+    else:
         check_tracks(tracks)
-        return tracks
-    tracks = finish_tracks(tracks)
-    check_scale(tracks, aim)
-    return tracks
+    count = sum(len(boxes.boxes) for boxes in known if boxes is not None)
+    return FollowedVideo(tracks, poses, 1 - len(followed[0].step) / max(count, 1))
 
 
 def _locate_boxes(
