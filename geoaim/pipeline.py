@@ -8,17 +8,25 @@ import json
 import os
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
 from geoaim.aim.files import write_aim
 from geoaim.aim.quicklook import draw_quicklook
 from geoaim.aim.rectification import rectify
-from geoaim.base.errors import GeoreferenceError, RegistrationError, TracksError, VideoError
+from geoaim.base.errors import (
+    GeoreferenceError,
+    RegistrationError,
+    TracksError,
+    VideoError,
+    collect_warnings,
+)
 from geoaim.base.files import (
     FILM_FILE,
     LOOK_FILE,
@@ -33,20 +41,31 @@ from geoaim.base.progress import Progress, notebook_progress, report_each
 from geoaim.base.world import World
 from geoaim.detection.scale import FRAMES, propose_scale
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
-from geoaim.imagery.alignment.placing import place_by_imagery
+from geoaim.imagery.alignment.placing import check_near, place_by_imagery
 from geoaim.imagery.sources import Source
 from geoaim.mapping.georeference.control_points import ControlPointSource
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.video.detections import DetectionSource
 from geoaim.mapping.video.video import Video, VideoSource, find_video_file, open_video
-from geoaim.rendering.pictures import render_map_video, write_pictures
+from geoaim.rendering.pictures import FILM_HEIGHT_PX, FILM_TRAIL_S, render_map_video, write_pictures
 from geoaim.rendering.scene import make_scene
-from geoaim.tracking.pipeline import track_video
+from geoaim.tracking.overlay import draw_on_video
+from geoaim.tracking.pipeline import FollowedVideo, follow_video
 from geoaim.tracking.report import WITHOUT_DETECTOR, summarize_tracking
+from geoaim.tracking.sizes import get_typical_size
+from geoaim.tracking.verdicts import (
+    Verdict,
+    judge_map,
+    judge_scale,
+    judge_tracks,
+    measure_observed,
+    measure_registration,
+)
 from geoaim.tracks.agent_types import select_group
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.files import write_tracks
+from geoaim.tracks.formats.shared import check_resolution
 from geoaim.tracks.lights import Lights, read_lights, read_stop_lines
 from geoaim.tracks.tracks import Tracks
 
@@ -65,12 +84,19 @@ class PlacedVideo:
         tracks: tracks of its agents; None: none was found, and `missing` says why.
         known: what is known and how surely, by name.
         missing: what is not, by what it would be needed for, with the command that helps.
+        verdicts: how far the map, its scale and the tracks can be used, and by what that is judged.
+        shares: of the boxes that are in no track, and of the vehicles' states that predictions can
+            start from; with the registration in metres.
+        warnings: every warning on the way.
     """
 
     aim: AIM
     tracks: Tracks | None
     known: dict[str, str]
     missing: dict[str, str]
+    verdicts: dict[str, Verdict] = field(default_factory=dict)
+    shares: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -116,8 +142,8 @@ def place_video(
 
     Args:
         video: what `open_video` opens.
-        folder: a new folder for map.tif, map.png, tracks.csv, film.mp4 and report.json, and for
-            what is known of lights and roads.
+        folder: a new folder for map.tif, map.png, tracks.csv, film.mp4 (the video beside the map)
+            and report.json, and for what is known of lights and roads.
         evidence: what is known beside the frames; None: nothing.
         progress: called with the stage, how much is done and how much there is.
 
@@ -130,29 +156,78 @@ def place_video(
         GeoaimError: as of `build_aim`, `place_by_imagery` and `track_video`.
         ValueError: the folder holds files, or the evidence contradicts itself.
     """
-    evidence, opened = evidence or Evidence(), open_video(video)
-    if opened.frame_count == 1:
-        raise VideoError(
-            f"{opened.source} has one frame, in which nothing moves; geoaim build makes a map of it"
-        )
-    _check(evidence, opened)
-    with atomic_folder(folder) as temporary:
-        aim = _build(opened, evidence, progress)
-        write_aim(aim, temporary / MAP_FILE)
-        write_figure(draw_quicklook(aim), temporary / LOOK_FILE)
-        hdmap, lights = _copy_roads(evidence, aim.world, temporary)
-        tracks, reason = _track(opened, aim, evidence, hdmap, progress)
-        if tracks is not None:
-            write_tracks(tracks, temporary / TRACKS_FILE)
-            _film(aim, tracks, lights, temporary / FILM_FILE, progress)
-        placed = _report(aim, tracks, evidence, reason)
-        if lights is not None:
-            placed.known.update({f"lights: {k}": v for k, v in lights.summarize().items()})
-        source = find_video_file(opened.source)  # which `geoaim view` shows beside the map
-        report = {"video": source, "known": placed.known, "missing": placed.missing}
-        text = json.dumps(report, indent=1, default=str)
-        (temporary / REPORT_FILE).write_text(text + "\n", encoding="utf-8")
+    evidence = evidence or Evidence()
+    with collect_warnings() as warnings:
+        opened = open_video(video)
+        if opened.frame_count == 1:
+            raise VideoError(
+                f"{opened.source} has one frame, in which nothing moves; geoaim build makes a map "
+                "of it"
+            )
+        _check(evidence, opened)
+        with atomic_folder(folder) as temporary:
+            return _place(opened, temporary, evidence, warnings, progress)
+
+
+def _place(
+    video: Video, folder: Path, evidence: Evidence, warnings: list[str], progress: Progress
+) -> PlacedVideo:
+    """Do what `place_video` does, in a folder that is there; warnings are added to the list."""
+    aim = _build(video, evidence, progress)
+    of_map = tuple(warnings)
+    write_aim(aim, folder / MAP_FILE)
+    write_figure(draw_quicklook(aim), folder / LOOK_FILE)
+    hdmap, lights = _copy_roads(evidence, aim.world, folder)
+    followed, reason = _track(video, aim, evidence, hdmap, progress)
+    of_tracks = tuple(warnings[len(of_map) :])
+    tracks = None if followed is None else followed.tracks
+    if followed is not None:
+        write_tracks(followed.tracks, folder / TRACKS_FILE)
+        _film(aim, followed, lights, folder / FILM_FILE, video, progress)
+    placed = _report(aim, tracks, evidence, reason)
+    if lights is not None:
+        placed.known.update({f"lights: {k}": v for k, v in lights.summarize().items()})
+    placed = _judge(placed, followed, evidence, (of_map, of_tracks))
+    _write_report(placed, video, folder / REPORT_FILE)
     return placed
+
+
+def _judge(
+    placed: PlacedVideo,
+    followed: FollowedVideo | None,
+    evidence: Evidence,
+    warnings: tuple[tuple[str, ...], tuple[str, ...]],
+) -> PlacedVideo:
+    """Add verdicts by what is measured and by the warnings of the map and of the tracks."""
+    aim, given = placed.aim, evidence.detections is not None
+    verdicts = {
+        "map": judge_map(aim, warnings[0]),
+        "scale": judge_scale(aim, placed.tracks),
+        "tracks": Verdict("unusable", (placed.missing.get("tracks", ""),)),
+    }
+    shares = {"registration_m": measure_registration(aim)}
+    if followed is not None:
+        interval = float(np.median(np.diff(followed.poses.times)))
+        judged = judge_tracks(interval, followed.unused, warnings[1], boxes_given=given)
+        verdicts["tracks"] = judged
+        shares |= {"unused_boxes": followed.unused, "observed": measure_observed(followed.tracks)}
+    rounded = {name: round(value, 4) for name, value in shares.items() if value is not None}
+    known = {f"verdict: {name}": str(verdict) for name, verdict in verdicts.items()}
+    return replace(
+        placed,
+        known=known | placed.known,
+        verdicts=verdicts,
+        shares=rounded,
+        warnings=(*warnings[0], *warnings[1]),
+    )
+
+
+def _write_report(placed: PlacedVideo, video: Video, path: Path) -> None:
+    parts = ("verdicts", "shares", "known", "missing", "warnings")
+    content: dict[str, Any] = {name: getattr(placed, name) for name in parts}
+    content["video"] = find_video_file(video.source)  # which `geoaim view` shows beside the map
+    content["verdicts"] = {name: asdict(one) for name, one in placed.verdicts.items()}
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def _check(evidence: Evidence, video: Video) -> None:
@@ -161,6 +236,8 @@ def _check(evidence: Evidence, video: Video) -> None:
         raise ValueError("lights need an HD map or stop lines, for their places")
     if evidence.stop_lines is not None and evidence.lights is None:
         raise ValueError("stop lines need lights, for their states")
+    if evidence.frame_resolution is not None:
+        _check_resolution(evidence.frame_resolution)
     if evidence.imagery is None:
         if evidence.near is not None or evidence.imagery_accuracy is not None:
             raise ValueError("near and imagery_accuracy need imagery, which places the map")
@@ -171,6 +248,18 @@ def _check(evidence: Evidence, video: Video) -> None:
         raise ValueError(
             f"{video.source} has no telemetry, so that the imagery is not searched; give latitude "
             "and longitude of the frame's middle (--near, near=)"
+        )
+    if evidence.near is not None:
+        check_near(evidence.imagery, evidence.near)
+
+
+def _check_resolution(resolution: float) -> None:
+    """Refuse a resolution at which a car is narrower than a pixel."""
+    check_resolution(resolution)
+    if resolution > (width := get_typical_size("car")[1]):
+        raise ValueError(
+            f"a frame resolution of {resolution:g} m per pixel: a car is {width:g} m wide, and "
+            "nothing narrower than a pixel is found"
         )
 
 
@@ -231,27 +320,47 @@ def _copy_roads(
 
 def _track(
     video: Video, aim: AIM, evidence: Evidence, hdmap: HDMap | None, progress: Progress
-) -> tuple[Tracks | None, str]:
+) -> tuple[FollowedVideo | None, str]:
     """Track the vehicles; with why there is none, unless the boxes of a detector were given."""
     try:
-        tracks = track_video(video, aim, evidence.detections, hdmap=hdmap, progress=progress)
+        followed = follow_video(video, aim, evidence.detections, hdmap, None, progress)
         if evidence.detections is None:
-            tracks = resample_tracks(tracks, FILM_RATE)
-        return tracks, ""
+            followed = replace(followed, tracks=resample_tracks(followed.tracks, FILM_RATE))
+        return followed, ""
     except (TracksError, RegistrationError) as error:
         if evidence.detections is not None:
             raise
         return None, str(error)
 
 
-def _film(aim: AIM, tracks: Tracks, lights: Lights | None, path: Path, progress: Progress) -> None:
-    """Write a film of the tracks on the map, with the lights."""
+def _film(
+    aim: AIM,
+    followed: FollowedVideo,
+    lights: Lights | None,
+    path: Path,
+    video: Video,
+    progress: Progress,
+) -> None:
+    """Write a film of the tracks on the video, and beside it on the map, with the lights."""
+    tracks = followed.tracks
     rate = 1 / float(np.median(np.diff(tracks.times)))
     if rate > FILM_RATE:
         tracks, rate = resample_tracks(tracks, FILM_RATE), FILM_RATE
-    pictures = render_map_video(make_scene(aim, tracks, lights), aim)
+    on_video = draw_on_video(
+        video, followed.poses, tracks, height=FILM_HEIGHT_PX, trail=FILM_TRAIL_S
+    )
+    on_map = render_map_video(make_scene(aim, tracks, lights), aim)
+    pictures = (_put_beside(*pair) for pair in zip(on_video, on_map, strict=True))
     reported = report_each(pictures, progress, "film", len(tracks.times))
     write_pictures(reported, path, frame_rate=rate)
+
+
+def _put_beside(one: UInt8[Array, "h w 3"], other: UInt8[Array, "H W 3"]) -> UInt8[Array, "_ _ 3"]:
+    """Put a picture beside another one, black where one of them is lower."""
+    height = max(len(one), len(other))
+    both = np.zeros((height, one.shape[1] + other.shape[1], 3), np.uint8)
+    both[: len(one), : one.shape[1]], both[: len(other), one.shape[1] :] = one, other
+    return both
 
 
 def _report(aim: AIM, tracks: Tracks | None, evidence: Evidence, reason: str) -> PlacedVideo:

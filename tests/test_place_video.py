@@ -12,13 +12,15 @@ from shapely import LineString
 from typer.testing import CliRunner
 
 import geoaim
-from geoaim.base.errors import GeoaimError, GeoaimWarning, VideoError
+from geoaim.base.errors import AlignmentError, GeoaimError, GeoaimWarning, VideoError
 from geoaim.base.geojson import Feature
+from geoaim.base.geometry import transform_points
 from geoaim.base.world import World
 from geoaim.cli import app
 from geoaim.cli.inputs import find_video
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.scale import check_scale
+from geoaim.tracking.verdicts import judge_map, judge_scale, judge_tracks
 from tests.geojson_files import write_features
 
 SAMPLES = Path(__file__).parents[1] / "samples"
@@ -55,11 +57,22 @@ def test_a_video_alone_gives_a_folder_with_all(junction):
     assert 3.5 < length < 5.5
     film = open_video(folder / "film.mp4")
     assert film.frame_count == len(tracks.times)
-    assert min(film.height, film.width) == 720
+    assert film.height == 720
+    assert film.width > 2 * 720  # the video beside the map
     assert "proposed" in result.known["scale"]
     report = json.loads((folder / "report.json").read_text("utf-8"))
-    assert report.pop("video") is None  # these frames are in no file
-    assert report == {"known": result.known, "missing": result.missing}
+    assert report["video"] is None  # these frames are in no file
+    assert report["known"] == result.known
+    assert report["missing"] == result.missing
+    assert {name: one["grade"] for name, one in report["verdicts"].items()} == {
+        "map": "good",
+        "scale": "doubtful",
+        "tracks": "good",
+    }
+    assert report["warnings"] == []
+    assert report["shares"]["registration_m"] < 0.1
+    assert 0 <= report["shares"]["unused_boxes"] < 0.25
+    assert 0.5 < report["shares"]["observed"] <= 1
     assert {"a place in the world", "an exact scale", "training"} <= set(result.missing)
     assert "60 s" in result.missing["training"]
 
@@ -73,6 +86,48 @@ def test_the_report_tells_the_viewer_where_the_video_is(tmp_path):
         assert find_video(tmp_path / "map.tif") == expected
     (tmp_path / "report.json").write_text('["of another program"]')
     assert find_video(tmp_path / "map.tif") is None
+
+
+def test_the_film_shows_the_boxes_on_the_video_too(video, junction):
+    folder, result = junction
+    film = next(iter(open_video(folder / "film.mp4"))).image.astype(float)
+    first = next(iter(video)).image
+    plain = cv2.resize(first, (1280, 720), interpolation=cv2.INTER_AREA).astype(float)
+    changed = np.abs(film[:, :1280] - plain).max(axis=2) > 60
+    assert 0.0005 < changed.mean() < 0.05
+    there = result.tracks.present[:, 0]
+    place = result.tracks.states[there, 0, :2]
+    height, width = result.aim.coverage.shape
+    pixels = transform_points(np.linalg.inv(result.aim.world_from_image), place)
+    columns, rows = (pixels * [1280 / width, 720 / height]).astype(int).T
+    near = cv2.dilate(changed.astype(np.uint8), np.ones((61, 61))) > 0
+    inside = (columns >= 0) & (columns < 1280) & (rows >= 0) & (rows < 720)
+    assert near[rows[inside], columns[inside]].all()
+
+
+def test_what_cannot_be_used_is_said(junction):
+    result = junction[1]
+    rare = judge_tracks(8.0, 0.0, (), boxes_given=False)
+    assert rare.grade == "unusable"
+    assert "8 s apart" in str(rare)
+    assert judge_tracks(8.0, 0.0, (), boxes_given=True).grade == "doubtful"
+    assert judge_tracks(0.08, 0.0, (), boxes_given=False).grade == "good"
+    assert "70%" in str(judge_tracks(0.08, 0.7, (), boxes_given=False))
+    registration = {**result.aim.report["registration"], "uncertainty_px": 5.0}
+    shaken = replace(result.aim, report={**result.aim.report, "registration": registration})
+    assert judge_map(shaken, ()).grade == "unusable"
+    assert judge_map(result.aim, ("contested",)).grade == "doubtful"
+    small = replace(result.tracks, sizes=result.tracks.sizes / 8)
+    assert judge_scale(result.aim, small).grade == "unusable"
+
+
+def test_warnings_of_the_run_are_in_the_report(video, tmp_path):
+    blind = geoaim.Evidence(frame_resolution=RESOLUTION / 8)
+    with pytest.warns(GeoaimWarning, match="scale is wrong"):
+        result = geoaim.place_video(video, tmp_path / "small", blind)
+    report = json.loads((tmp_path / "small" / "report.json").read_text("utf-8"))
+    assert any("scale is wrong" in text for text in report["warnings"])
+    assert result.verdicts["scale"].grade == "unusable"
 
 
 def test_commands_take_the_folder(junction, tmp_path):
@@ -133,9 +188,19 @@ def test_evidence_that_contradicts_itself_is_refused(video, tmp_path):
         (geoaim.Evidence(imagery="ortho.tif", points="points.csv"), "give one"),
         (geoaim.Evidence(lights="lights.csv"), "need an HD map or stop lines"),
         (geoaim.Evidence(stop_lines="lines.geojson"), "need lights"),
+        (geoaim.Evidence(frame_resolution=13.0), "narrower than a pixel"),
+        (geoaim.Evidence(frame_resolution=-1.0), "positive number"),
     ):
         with pytest.raises(ValueError, match=message):
             geoaim.place_video(video, tmp_path / "folder", evidence)
+    latitude, longitude = 54.7005, 28.291
+    ortho = {"imagery": SAMPLES / "ortho.tif"}
+    for near, message in (
+        ((longitude, latitude), "give the latitude first"),
+        ((10.0, 10.0), "another place"),
+    ):
+        with pytest.raises(AlignmentError, match=message):
+            geoaim.place_video(video, tmp_path / "folder", geoaim.Evidence(near=near, **ortho))
     result = run(app, ["place", "samples/hover.mp4", "--near", "north", "-o", f"{tmp_path}/f"])
     assert "not latitude,longitude" in result.output
 

@@ -1,8 +1,10 @@
 """Errors about data; a bad call raises ValueError or TypeError."""
 
+import collections.abc
 import contextvars
 import sys
 import warnings
+from contextlib import contextmanager
 
 from geoaim.base.texts import show_text
 
@@ -80,8 +82,25 @@ class GeoaimWarning(UserWarning):
     """The result is less than was asked for: a damaged file, a skipped point."""
 
 
+_collected: contextvars.ContextVar[list[str] | None]
+_collected = contextvars.ContextVar("_collected", default=None)
+
+
+@contextmanager
+def collect_warnings() -> collections.abc.Iterator[list[str]]:
+    """Collect the messages of `warn`, which warn all the same, in a list."""
+    found: list[str] = []
+    token = _collected.set(found)
+    try:
+        yield found
+    finally:
+        _collected.reset(token)
+
+
 def warn(message: str) -> None:
     """Warn with `GeoaimWarning`, at the line outside the package from which it was called."""
+    if (found := _collected.get()) is not None:
+        found.append(format_message(message))
     level, frame = 2, sys._getframe(1)  # noqa: SLF001
     while frame.f_back and frame.f_back.f_globals.get("__name__", "").startswith("geoaim"):
         level, frame = level + 1, frame.f_back

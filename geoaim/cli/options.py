@@ -22,6 +22,9 @@ ControlPoints = Annotated[
 DetectionsFolder = Annotated[
     Path | None, typer.Option(help="detected boxes: a folder of YOLO .txt, or a file of all frames")
 ]
+ImageRate = Annotated[
+    float | None, typer.Option(help="images per second of a folder of images", min=0.01)
+]
 Near = Annotated[
     str | None,
     typer.Option(help="latitude,longitude of the frame's middle to 35 m, if telemetry lacks it"),

@@ -24,6 +24,7 @@ def place(
         float | None,
         typer.Option(help="metres per pixel of the video; proposed by its cars if omitted"),
     ] = None,
+    image_rate: options.ImageRate = None,
     lights: options.LightsFile = None,
     hdmap: options.HDMapFile = None,
     stop_lines: options.StopLinesFile = None,
@@ -39,6 +40,7 @@ def place(
     Example: geoaim place samples/hover.mp4 -o junction
     """
     from geoaim.base.files import check_new_folder
+    from geoaim.mapping.video.video import open_video
     from geoaim.pipeline import Evidence, place_video
 
     with show_progress() as progress, report_errors():
@@ -54,7 +56,8 @@ def place(
             hdmap=hdmap,
             stop_lines=stop_lines,
         )
-        placed = place_video(video, output, evidence, progress=progress)
+        opened = open_video(video, rate=image_rate or 1.0)
+        placed = place_video(opened, output, evidence, progress=progress)
     files = sorted(output.iterdir())
     lines = placed.known | {f"missing: {name}": text for name, text in placed.missing.items()}
     print_result([output] if not as_json else files, lines, as_json)

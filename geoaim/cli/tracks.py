@@ -46,9 +46,7 @@ def track(
     first: Annotated[
         int | None, typer.Option(help="number of the first frame in the file", min=0)
     ] = None,
-    image_rate: Annotated[
-        float | None, typer.Option(help="images per second of a folder of images", min=0.01)
-    ] = None,
+    image_rate: options.ImageRate = None,
     hdmap: options.HDMapFile = None,
     as_json: options.AsJson = False,
     flying_height: Annotated[

@@ -26,15 +26,27 @@ def _find_most(sides: Float[Array, " n"]) -> float:
 
 
 def check_scale(tracks: Tracks, aim: AIM) -> float | None:
-    """Check by the sizes of vehicles whether the scale of a map can be right, if it is assumed.
+    """Check a scale by `measure_scale_error`, and warn where it cannot be right."""
+    factor = measure_scale_error(tracks, aim)
+    if factor is not None:
+        length, width = np.array(TYPICAL_SIZES["car"]) / factor
+        warn(
+            f"most of what moves is about {length:.2g} x {width:.2g} m; if these are cars, the "
+            f"map's scale is wrong, and a pixel has {factor:.2g} times as many metres "
+            "(--frame-resolution)"
+        )
+    return factor
+
+
+def measure_scale_error(tracks: Tracks, aim: AIM) -> float | None:
+    """Measure by the sizes of vehicles whether the scale of a map can be right, if it is assumed.
 
     Args:
         tracks: agents whose types follow from their sizes.
         aim: the map; control points or imagery tell the scale, telemetry or a user assumes it.
 
     Returns:
-        By how much the scale is too small (above 1) or too large, with a warning; None: it may be
-        right.
+        By how much the scale is too small (above 1) or too large; None: it may be right.
     """
     georeference = aim.report.get("georeference", {})
     if not georeference.get("approximate", False):
@@ -42,11 +54,4 @@ def check_scale(tracks: Tracks, aim: AIM) -> float | None:
     if len(tracks.ids) < MIN_AGENTS:
         return None
     factor = CAR_M / _find_most(np.sqrt(tracks.sizes.prod(axis=1)))
-    if 1 / MIN_FACTOR < factor < MIN_FACTOR:
-        return None
-    length, width = np.array(TYPICAL_SIZES["car"]) / factor
-    warn(
-        f"most of what moves is about {length:.2g} x {width:.2g} m; if these are cars, the map's "
-        f"scale is wrong, and a pixel has {factor:.2g} times as many metres (--frame-resolution)"
-    )
-    return factor
+    return None if 1 / MIN_FACTOR < factor < MIN_FACTOR else factor

@@ -136,7 +136,8 @@ def place(inputs: Path, target: Path) -> None:
         patch.object(pipeline, "open_video"),
         patch.object(pipeline, "_check"),
         patch.object(pipeline, "_build", lambda *_: aim),
-        patch.object(pipeline, "_track", lambda *_: (tracks, "")),
+        patch.object(pipeline, "_track", lambda *_: (SimpleNamespace(tracks=tracks), "")),
+        patch.object(pipeline, "_judge", lambda placed, *_: placed),
         patch.object(pipeline, "_film", lambda *given: given[3].write_bytes(b"film")),
         patch.object(pipeline, "draw_quicklook", lambda _: _draw_small_figure(inputs)),
     ):

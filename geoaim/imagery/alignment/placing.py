@@ -18,8 +18,9 @@ from geoaim.base.progress import Progress, notebook_progress
 from geoaim.base.world import choose_world, world_from_lonlat
 from geoaim.imagery.alignment.by_image import CORRELATED_WINDOWS, MatchedWindows, match_image
 from geoaim.imagery.alignment.result import Prior
-from geoaim.imagery.mosaic import read_imagery
-from geoaim.imagery.sources import Source
+from geoaim.imagery.mosaic import read_imagery, read_lonlat
+from geoaim.imagery.sources import Source, list_sources
+from geoaim.imagery.tiles import Tiles, is_address
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.point_checks import warn_of_small_part
@@ -106,6 +107,33 @@ def place_by_imagery(
     }
     straight = remove_distortion(rough, place.radial)
     return replace(straight, world_from_image=place.world_from_image, report=report)
+
+
+def check_near(imagery: Source | Sequence[Source], near: tuple[float, float]) -> None:
+    """Check before any work that imagery shows a place; that of a tile service is not known.
+
+    Args:
+        imagery: as in `place_by_imagery`.
+        near: latitude and longitude, degrees.
+
+    Raises:
+        AlignmentError: it does not.
+        ImageryError: the imagery cannot be read.
+    """
+    sources = list_sources(imagery)
+    if any(isinstance(one, Tiles) or is_address(str(one)) for one in sources):
+        return
+    lonlat = read_lonlat(sources, None)
+    low, high = lonlat.min(axis=0), lonlat.max(axis=0)
+    place = np.array(near[::-1])
+    if ((low <= place) & (place <= high)).all():
+        return
+    swapped = ((low <= place[::-1]) & (place[::-1] <= high)).all()
+    advice = "give the latitude first" if swapped else "is it of another place?"
+    raise AlignmentError(
+        f"latitude {near[0]:g}, longitude {near[1]:g} lies outside of the imagery, which has "
+        f"longitude {low[0]:.6f} to {high[0]:.6f}, latitude {low[1]:.6f} to {high[1]:.6f}: {advice}"
+    )
 
 
 def _move_near(aim: AIM, near: tuple[float, float] | None) -> tuple[AIM, Prior]:
