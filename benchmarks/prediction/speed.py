@@ -47,7 +47,6 @@ DEFAULT = "ITRA"
 OTHER_METHODS = ("constant velocity", "constant velocity with noise", "plain network")
 LEARNT_AT = CLOSED_LOOP[:4]  # places of the plain network
 NUMBERS = ("ms an agent", "minADE, m", "joint minADE, m", "collisions, %")
-MISSED = 0.3  # share of the agents that are not seen
 Row = dict[str, Any]
 Numbers = Float[Array, "4"]  # `NUMBERS` at a place
 
@@ -168,15 +167,6 @@ def _mistake_speeds(case: _Case, *, factor: float) -> _Case:
     states = case.segments.states.clone()
     states[..., :HISTORY, 3] *= factor
     return replace(case, segments=replace(case.segments, states=states))
-
-
-def _miss_agents(case: _Case) -> _Case:
-    """Do not show a share of the agents that the model does not move."""
-    segments = case.segments
-    drawn = torch.rand(segments.controlled.shape, generator=torch.Generator().manual_seed(0))
-    missed = (drawn < MISSED) & ~segments.controlled
-    present = segments.present & ~missed[..., None]
-    return replace(case, segments=replace(segments, present=present))
 
 
 CHANGES: Mapping[str, Callable[[_Case], _Case]] = {
