@@ -211,12 +211,8 @@ def draw(found: Mapping[str, Sequence[Numbers]]) -> Figure:
     panels = figure.subplots(3, 1, sharex=True)
     for axes, column in zip(panels, (1, 2, 3), strict=True):
         for name, values in found.items():
-            each = np.array(values)
-            (x, y), low, high = (
-                each[:, [0, column]].mean(axis=0),
-                each.min(axis=0),
-                each.max(axis=0),
-            )
+            each = np.array(values)[:, [0, column]]
+            (x, y), low, high = each.mean(axis=0), each[:, 1].min(), each[:, 1].max()
             ours = name not in OTHER_METHODS
             colour = OURS if ours else OTHERS
             axes.plot([x, x], [low, high], color=colour, alpha=0.35)
