@@ -47,7 +47,6 @@ DEFAULT = "ITRA"
 OTHER_METHODS = ("constant velocity", "constant velocity with noise", "plain network")
 LEARNT_AT = CLOSED_LOOP[:4]  # places of the plain network
 NUMBERS = ("ms an agent", "minADE, m", "joint minADE, m", "collisions, %")
-MISSED = 0.3  # share of the agents that are not seen
 Row = dict[str, Any]
 Numbers = Float[Array, "4"]  # `NUMBERS` at a place
 
@@ -170,15 +169,6 @@ def _mistake_speeds(case: _Case, *, factor: float) -> _Case:
     return replace(case, segments=replace(case.segments, states=states))
 
 
-def _miss_agents(case: _Case) -> _Case:
-    """Do not show a share of the agents that the model does not move."""
-    segments = case.segments
-    drawn = torch.rand(segments.controlled.shape, generator=torch.Generator().manual_seed(0))
-    missed = (drawn < MISSED) & ~segments.controlled
-    present = segments.present & ~missed[..., None]
-    return replace(case, segments=replace(segments, present=present))
-
-
 CHANGES: Mapping[str, Callable[[_Case], _Case]] = {
     "as it is": lambda case: case,
     "positions with noise of 0.2 m": partial(_disturb_tracks, metres=0.2),
@@ -221,12 +211,8 @@ def draw(found: Mapping[str, Sequence[Numbers]]) -> Figure:
     panels = figure.subplots(3, 1, sharex=True)
     for axes, column in zip(panels, (1, 2, 3), strict=True):
         for name, values in found.items():
-            each = np.array(values)
-            (x, y), low, high = (
-                each[:, [0, column]].mean(axis=0),
-                each.min(axis=0),
-                each.max(axis=0),
-            )
+            each = np.array(values)[:, [0, column]]
+            (x, y), low, high = each.mean(axis=0), each[:, 1].min(), each[:, 1].max()
             ours = name not in OTHER_METHODS
             colour = OURS if ours else OTHERS
             axes.plot([x, x], [low, high], color=colour, alpha=0.35)

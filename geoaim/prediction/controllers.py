@@ -35,9 +35,9 @@ CURVATURE_SHARE = 0.3  # of a new action in the curvature of an agent's arc
 WAITING_MPS = 2.0
 DRIVING_OFF_MPS2 = 1.3  # with which they reach `WAITING_MPS`: the median; 1 to 2.8 of 10 and 90 %
 STANDING_MPS = 0.15  # slower stands
-# Who has no reason to stand starts by more than this: the network ever wants it within 5 s in 65 %
-# of the futures of those who start, and in 1 % of those who stay, such as parked vehicles (0.2
-# m/s²: 85 and 10 %; the sample and three made places)
+# Who has no reason to stand starts by more than this: the network ever wants it within 5 s in 73 %
+# of the futures of those who start, and in 5 % of those who stay, such as parked vehicles (0.2
+# m/s²: 94 and 15 %; the sample and two made places)
 STARTING_MPS2 = 0.8
 
 

@@ -101,6 +101,7 @@ def test_concatenated_metrics_average_over_all_segments():
     assert set(whole) == {"a", "b"}
     assert whole["b"].mean == 1
     assert whole["a"].mean == pytest.approx(1.5)
+    assert summarise(whole)["a"] == {"mean": 1.5, "count": 4.0, "segments": 2}
 
 
 @pytest.mark.parametrize("name", BASELINES)

@@ -40,7 +40,7 @@ def test_zero_shot_models_stand_beside_baselines_and_the_recordings_rates(
     names = [f"here, 1 place, vehicles, {name}" for name in rows]
     assert list(methods) == names
     assert methods[names[0]]["minADE"]["segments"] == 2
-    assert list(methods[names[-3]]) == ["collision rate"]
+    assert list(methods[names[-2]]) == ["collision rate"]
 
 
 def test_estimates_from_the_past_are_compared(recording, monkeypatch, tmp_path):
