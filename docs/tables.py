@@ -309,7 +309,6 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "length": lambda results: write_rows(results["lengths"]),
     "birdview": write_birdview,
     "without_detector": write_without_detector,
-    "real_cars": write_without_detector,
     "models_without_detector": write_models_without_detector,
     "georeference": write_georeference,
     "georeference_sizes": write_sizes,
