@@ -172,7 +172,7 @@ def test_a_drag_is_not_snapped_and_unreadable_coordinates_are_named(page, task, 
         page.mouse.up()
         wait_for(page, f"Math.abs(geoaim.state.points[0].u - {snapped[0]}) > 0.01")
         field = page.locator("table.points input").nth(1)
-        for text, found in (("36,3035", "is not saved"), ("200.5, 36.5", "not saved: the coordin")):
+        for text, found in (("36,3035", "is not saved"), ("200.5, 36.5", "lies outside the area")):
             field.fill(text)
             field.press("Enter")
             wait_for(page, f"document.querySelector('.message').textContent.includes('{found}')")
