@@ -160,4 +160,4 @@ def test_benchmark_sweeps_the_kinds_that_it_is_given(monkeypatch):
     results = benchmark.measure_stability(True, no_progress)
     assert [row["kind"] for row in results.tables["rows"]] == ["plain"]
     assert [row["method"] for row in results.tables["methods"]] == ["geoaim", sweep.RIVALS[0]]
-    assert list(results.charts) == ["errors", "verdicts"]
+    assert list(results.charts) == ["strips"]

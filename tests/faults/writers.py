@@ -183,7 +183,7 @@ def convert(inputs: Path, target: Path) -> None:
 def film_simulation(inputs: Path, target: Path) -> None:
     files = inputs / "aim.tif", target, inputs / "tracks.csv"
     with patch.dict(sys.modules["geoaim.cli.simulate"].VIDEO, size=32):
-        cli.simulate(*files, ego="1", duration=0.8, video=target.parent / "films" / "out.mp4")
+        cli.simulate(*files, ego="1", duration=0.8, film=target.parent / "films" / "out.mp4")
 
 
 def predict_agents(inputs: Path, target: Path) -> None:

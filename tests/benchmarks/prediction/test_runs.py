@@ -166,6 +166,7 @@ def test_errors_grow_with_the_uncertainty_of_speeds(workspace, shipped, monkeypa
     monkeypatch.setattr(unsure_speeds, "PLACES", unsure_speeds.PLACES[:1])
     monkeypatch.setattr(unsure_speeds, "SPEEDS", {"vehicle": ((0.0, np.inf),)})
     monkeypatch.setattr(unsure_speeds, "MAX_SEGMENTS", 1)
+    monkeypatch.setattr(unsure_speeds, "MIN_AGENTS", 1)
     (row,) = json.loads(unsure_speeds.run(workspace)[0].read_text())["rows"]
     assert row["4 m/s"] > row["0 m/s"]
 
