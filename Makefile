@@ -45,7 +45,7 @@ demo: .venv/usable
 	@echo
 	@echo "Open demo/junction/map.tif   the map, in QGIS or any other GIS program"
 	@echo "     demo/junction/map.png   a quick look: background, control points, drift, coverage"
-	@echo "     demo/junction/film.mp4  the vehicles that were found, on the map"
+	@echo "     demo/junction/film.mp4  the vehicles that were found, on the video and on the map"
 	@echo "     demo/futures.png        what they may do in the next four seconds"
 	@echo "     demo/view.gif           the view of one car of the recorded traffic"
 	@echo

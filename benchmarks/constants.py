@@ -25,9 +25,9 @@ import typer
 
 from benchmarks.registration.stability.clips import Clip, SweepCase, list_cases, make_clip
 from benchmarks.registration.stability.sweep import run_geoaim
-from benchmarks.results import JsonFile, print_rows, write_rows
+from benchmarks.results import ROOT, JsonFile, print_rows, write_rows
 
-PACKAGE = Path(__file__).parents[1] / "geoaim"
+PACKAGE = ROOT / "geoaim"
 FACTOR = 1.5
 SAME_ERROR = 0.02  # relative change of the error that counts as none
 # kinds and ranks of validation clips: what is filmed, and each hardship at two levels
@@ -131,11 +131,12 @@ def _imports(module: ModuleType, constant: Constant) -> bool:
 
 
 def make_registration_clips() -> list[tuple[SweepCase, Clip]]:
-    """Make the clips that the registration is asked with, of both generators in turn."""
+    """Make the clips: the easier level of one generator, the harder of the other."""
     chosen: list[SweepCase] = []
     for kind, ranks in REGISTRATION_CLIPS.items():
-        cases = [case for case in list_cases("validation", [kind]) if case.rank in ranks]
-        chosen += [cases[len(chosen) % 2 - 2], cases[(len(chosen) + 1) % 2]]
+        wanted = dict(zip(ranks, ("town", "junction"), strict=True))
+        cases = list_cases("validation", [kind])
+        chosen += [case for case in cases if wanted.get(case.rank) == case.base]
     return [(case, make_clip(case, count=8)) for case in chosen]
 
 

@@ -16,10 +16,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.charts import OTHERS, OURS
+from benchmarks.results import ROOT
 from geoaim.base.labels import label_points, scale_axes
 
-BENCH = Path(__file__).parents[1] / "docs" / "bench"
-# a method with its time and error, and whether it is a default of ours
+BENCH = ROOT / "docs" / "bench"
+# a method with its time and error
 Point = tuple[str, float, float]
 MIN_IDF1_ERROR = 1e-3  # tracks without error are drawn here, since the axis is logarithmic
 

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 import geoaim
 from geoaim import pipeline
+from geoaim.base.encode import write_video
 from geoaim.base.errors import AlignmentError, GeoaimError, GeoaimWarning, VideoError, warn
 from geoaim.base.geojson import Feature
 from geoaim.base.geometry import transform_points
@@ -131,9 +132,11 @@ def test_warnings_of_the_run_are_in_the_report(video, tmp_path, monkeypatch):
 
     monkeypatch.setattr(pipeline, "build_aim", build_with_a_warning)
     blind = geoaim.Evidence(frame_resolution=RESOLUTION / 8)  # at which cars are lorries
+    file = write_video([frame.image for frame in video], tmp_path / "a.mp4", frame_rate=video.rate)
     with pytest.warns(GeoaimWarning, match="the ground is uncertain"):
-        result = geoaim.place_video(video, tmp_path / "small", blind)
+        result = geoaim.place_video(file, tmp_path / "small", blind)
     report = json.loads((tmp_path / "small" / "report.json").read_text("utf-8"))
+    assert report["video"] == str(file)
     assert report["warnings"] == ["the ground is uncertain"]
     assert result.verdicts["map"].grade == "doubtful"
     assert result.verdicts["tracks"].grade == "unusable"

@@ -38,7 +38,7 @@ from geoaim.detection.scale import propose_scale
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.pipeline import track_video
 from geoaim.tracks.agent_types import find_group
-from geoaim.tracks.tracks import Tracks
+from geoaim.tracks.changes import select_steps
 
 SECONDS, STILL_FRAMES = 6.0, 60
 PLACES = KINDS[:2]  # each takes minutes
@@ -77,17 +77,7 @@ def measure_case(case: FilmedCase) -> dict[str, Any]:
 
 def _take_steps(case: FilmedCase, steps: Int[Array, " t"]) -> FilmedCase:
     """The case at some of its steps only."""
-    truth = case.truth
-    agents = np.flatnonzero(truth.present[:, steps].any(axis=1))
-    chosen = Tracks(
-        times=truth.times[steps],
-        states=truth.states[agents][:, steps],
-        present=truth.present[agents][:, steps],
-        sizes=truth.sizes[agents],
-        types=tuple(truth.types[agent] for agent in agents),
-        ids=tuple(truth.ids[agent] for agent in agents),
-        world=truth.world,
-    )
+    chosen = select_steps(case.truth, steps)
     return replace(case, truth=chosen, frame_from_world=case.frame_from_world[steps])
 
 

@@ -28,7 +28,8 @@ RATE = 4.0
 LOWEST = -2.0  # log odds; of vehicles of validation videos 98 % (Songdo) and 93 % (Minsk) are above
 # log odds of a vehicle in a video: the network's, less `STILL`, more `MOVED` for each e-fold by
 # which the difference from the map exceeds `USUAL` times what is typical of the frame. Chosen on
-# videos of two stills of Songdo and of Minsk with their real cars, and judged on other seeds
+# videos of two stills of Songdo and of Minsk with their real cars; of other seeds only one was
+# judged, with 2 for `MOVED`
 STILL, MOVED, USUAL = 2.0, 3.0, 2.0
 MAX_SHARED = 0.1  # of a box that lies in a better one; more is its shadow or a piece of it
 MIN_PROBABILITY = 0.3  # of a box that may belong to a track

@@ -94,5 +94,5 @@ def judge_tracks(
         doubts.append(f"{text}: agents that turn or brake between them may be mistaken")
     if unused > MAX_UNUSED:
         doubts.append(f"{unused:.0%} of the boxes are in no track")
-    by = f"{1 - unused:.0%} of the boxes are in tracks"
+    by = f"{1 - unused:.0%} of the boxes are in tracks" if boxes_given else "no warning"
     return Verdict("doubtful", tuple(doubts)) if doubts else Verdict("good", (by,))

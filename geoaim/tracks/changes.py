@@ -55,12 +55,17 @@ def cut_tracks(tracks: Tracks, start: float, duration: float) -> Tracks:
     """
     tick = 1 / TICKS_PER_S
     steps = (tracks.times >= start - tick) & (tracks.times <= start + duration + tick)
-    agents = np.flatnonzero(tracks.present[:, steps].any(axis=1))
-    if not len(agents):
+    if not tracks.present[:, steps].any():
         raise TracksError(
             f"no agent is present from {start:g} to {start + duration:g} s; the tracks have "
             f"{describe_times(tracks.times)}"
         )
+    return select_steps(tracks, steps)
+
+
+def select_steps(tracks: Tracks, steps: Bool[Array, "T"] | Int[Array, " t"]) -> Tracks:
+    """Select some times, and the agents that are present at any of them."""
+    agents = np.flatnonzero(tracks.present[:, steps].any(axis=1))
     return Tracks(
         times=tracks.times[steps],
         states=tracks.states[agents][:, steps],

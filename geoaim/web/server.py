@@ -29,9 +29,9 @@ MAX_CALL_BYTES = 1_000_000
 MAX_HEADER_BYTES = 65_536
 REQUEST_S = 10.0  # a client that sends its request more slowly is cut off
 ANSWERS_AT_ONCE = 4
-# the server stops after this time without any page; a page that is reloaded comes back
 CHUNK_BYTES = 1 << 18  # of a video, sent at once
 RANGE = re.compile(r"bytes=(\d{1,18})-(\d{1,18})?")
+# the server stops after this time without any page; a page that is reloaded comes back
 CLOSED_S = 2.0
 ALIVE_PERIOD_S = 0.5
 HEADERS = {
