@@ -65,14 +65,9 @@ def check_evidence(
 ) -> None:
     """Warn where boxes do not lie on what differs from the map, or would do so read otherwise.
 
-    Only boxes of agents that moved on count: who stands all the time may be in the map.
-
-    Args:
-        views: some frames.
-        boxes: of all frames, by their numbers.
-        reference_from_frame: transforms of pixels to those of one frame; NaN where not known.
-        size: (width, height) of the frames.
-        rate: frames per second.
+    Only boxes of agents that moved on count: who stands all the time may be in the map. Boxes and
+    transforms to the pixels of one frame are by number of frame; the size is width and height, the
+    rate frames a second.
     """
     if not views:
         return
