@@ -17,8 +17,6 @@ MAP_INCHES, PANEL_INCHES = 8.0, 6.5  # height of the map, width of what stands b
 RESIDUAL_SCALES = (50, 20, 10, 5, 2, 1)  # residuals of control points are drawn as much longer
 # length of the longest residual as it is drawn, as a share of the map's width
 LONGEST_RESIDUAL = 0.2
-SUMMARY_CHARS = 80  # that fit into the panel's width
-RASTER_STRIDE = 4  # every fourth pixel of the coverage is drawn, in both directions
 
 
 def draw_quicklook(aim: AIM) -> Figure:
@@ -90,7 +88,7 @@ def _draw_path(axes: Axes, registration: Mapping[str, Any]) -> None:
 
 def _draw_coverage(axes: Axes, aim: AIM) -> None:
     height, width = aim.image.shape[:2]
-    extent, step = (0, width, height, 0), slice(None, None, RASTER_STRIDE)
+    extent, step = (0, width, height, 0), slice(None, None, 4)  # every fourth pixel is drawn
     drawn = axes.imshow(aim.coverage[step, step], extent=extent, vmin=0, cmap="magma")
     _add_scale(axes, drawn, "frames")
     contested = np.where(aim.contested[step, step], 1.0, np.nan)
@@ -120,7 +118,7 @@ def _draw_summary(axes: Axes, aim: AIM) -> None:
     axes.axis("off")
     lines = aim.summarize()
     width = max(map(len, lines))
-    room = max(SUMMARY_CHARS - width - 2, 20)
+    room = max(80 - width - 2, 20)  # 80 characters fit into the panel
     rows = [
         f"{name if number == 0 else '':<{width}}  {part}"
         for name, value in lines.items()

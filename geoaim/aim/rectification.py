@@ -18,7 +18,6 @@ from geoaim.base.world import World, change_world
 BLOCK_PX = 1024  # side of the blocks that are resampled at a time
 SAMPLES_PER_SIDE = 33  # pixel sizes are measured at so many places along each side of the image
 MAX_WORLD_ERROR_PX = 0.1  # of taking the map between two worlds as affine
-MIN_ALPHA = 0.01  # a pixel of lower alpha has no colour of its own
 
 
 def rectify(aim: AIM, resolution: float | None = None) -> AIM:
@@ -137,6 +136,7 @@ def _resample_colours(
             flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
         )
         block = cv2.resize(fine, (columns, rows), interpolation=cv2.INTER_AREA)
-        colours = block[..., :3] / np.maximum(block[..., 3:], MIN_ALPHA)
+        # a pixel of lower alpha has no colour of its own
+        colours = block[..., :3] / np.maximum(block[..., 3:], 0.01)
         image[top : top + rows, left : left + columns] = np.clip(np.rint(colours), 0, 255)
     return image

@@ -8,7 +8,6 @@ import numpy as np
 
 from geoaim.aim.position import MOVED, describe_covariance, measure_azimuth
 
-MAX_REASON_CHARS = 70
 MAX_NAME_CHARS = 24  # of a file, of which the end tells most
 MIN_OFFSET_M = 0.1  # imagery that stays farther from where its reference shows it says so
 Lines = dict[str, str]
@@ -151,7 +150,7 @@ def _describe(covariance: Sequence[Sequence[float]] | None) -> str:
 def _summarize_check(check: Mapping[str, Any]) -> str:
     """Summarize what one evidence says about an alignment by another."""
     if not check["checked"]:
-        return f"not possible: {shorten(check['reason'], MAX_REASON_CHARS, placeholder=' ...')}"
+        return f"not possible: {shorten(check['reason'], 70, placeholder=' ...')}"
     verdict = "agrees" if check["agrees"] else "DISAGREES"
     direction = check.get("undetermined_degrees")
     if direction is not None:  # along a straight road nothing is checked

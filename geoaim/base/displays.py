@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, ClassVar
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-REPR_FACTS = 4  # number of facts in a repr
 THUMBNAIL_INCHES, THUMBNAIL_DPI = (5.6, 3.6), 80
 
 
@@ -58,7 +57,7 @@ class Display(ABC):
 
     def __repr__(self) -> str:
         facts = [f"{name} {value}" for name, value in self.summarize().items()]
-        return f"<{type(self).__name__}: {'; '.join(facts[:REPR_FACTS])}>"
+        return f"<{type(self).__name__}: {'; '.join(facts[:4])}>"
 
     def _repr_html_(self) -> str:
         from matplotlib.figure import Figure

@@ -29,7 +29,6 @@ from geoaim.base.world import (
 
 GEOMETRIES = ("Point", "LineString", "Polygon", "MultiPoint", "MultiLineString", "MultiPolygon")
 TYPES = ("FeatureCollection", "Feature", *GEOMETRIES, "GeometryCollection")
-MAX_DEGREES = 360.0
 NEAR_DEGREES = 2.0  # between shapes and the map that they are drawn on
 
 
@@ -134,7 +133,7 @@ def _check_place(
     if not len(points) or not parse_crs(crs).is_geographic:
         return
     largest = float(np.abs(points).max())
-    if largest > MAX_DEGREES:
+    if largest > 360.0:
         raise MapError(
             f"{path} has coordinates up to {largest:.7g}, which are no degrees of longitude and "
             'latitude; transform it to EPSG:4326, or name its CRS: "crs": {"type": "name", '

@@ -16,8 +16,6 @@ DEFAULT_MAX_GB = 1.0
 # bytes in memory per byte of the file at most; images of one colour compress this well
 MAX_RATIO = 300
 MAX_REASON_CHARS = 300
-UNPACKED_AT_ONCE = 2**20  # bytes
-BYTES_PER_CHARACTER = 5  # memory for a character in a table of text
 MAX_POSITION_M = 1e8  # distance from the origin; the Earth's circumference is 4e7 m
 MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 MAX_RECORDING_S = 864_000.0  # ten days; a video whose frames are further apart is damaged
@@ -73,9 +71,9 @@ def open_text(path: str | os.PathLike[str], error_type: type[GeoaimError]) -> It
     if str(path).lower().endswith(".gz"):
         size, unpacked = os.path.getsize(path), 0
         with gzip.open(path) as packed:
-            while part := packed.read(UNPACKED_AT_ONCE):
+            while part := packed.read(2**20):
                 unpacked += len(part)
-                needed = unpacked * BYTES_PER_CHARACTER
+                needed = unpacked * 5  # bytes of memory for a character in a table
                 check_memory(
                     path, needed, size, error_type, f"over {unpacked / 1e6:.0f} MB of text"
                 )
@@ -137,7 +135,6 @@ def refuse_damaged(
 
 STEPS = 20_000_000  # of SQLite's machine: about a second; a million rows are counted within it
 STEPS_PER_BYTE = 1.0
-MAX_INT = 2**31 - 1  # of SQLite
 
 
 @contextmanager
@@ -154,5 +151,5 @@ def open_sqlite(path: str | os.PathLike[str]) -> Iterator[sqlite3.Connection]:
         database.execute("PRAGMA cell_size_check = ON")
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 100_000_000)
         # called after that many steps of a statement; what it returns interrupts the statement
-        database.set_progress_handler(lambda: 1, int(min(limit, MAX_INT)))
+        database.set_progress_handler(lambda: 1, int(min(limit, 2**31 - 1)))  # its int
         yield database

@@ -18,9 +18,6 @@ from geoaim.base.world import World, change_world
 
 LONGER_SIDE_PX = 1200  # longer side of an image as it is drawn
 USED_COLOUR, UNUSED_COLOUR = "#ff6a00", "#c1121f"  # colours of control points
-SCALE_BAR_SHARE = 0.3  # largest share of the axes' width
-SCALE_BAR_SEP = 6  # points between the bar and its text, whose letters reach above their box
-OUTLINE_POINTS = 1.0  # width of a dark outline
 _worlds: WeakKeyDictionary[Axes, World] = WeakKeyDictionary()
 
 
@@ -81,7 +78,7 @@ def draw_lines(
         list(lines), colors=[colour], linewidths=width, label=plot_text(label) or None
     )
     if outlined:
-        outline = withStroke(linewidth=width + 2 * OUTLINE_POINTS, foreground="black")
+        outline = withStroke(linewidth=width + 2, foreground="black")
         drawn.set_path_effects([outline])
     axes.add_collection(drawn)
     axes.autoscale_view()
@@ -127,11 +124,12 @@ def add_scale_bar(axes: Axes) -> None:
     axes.set_aspect("equal")
     for drawn in [artist for artist in axes.artists if isinstance(artist, AnchoredSizeBar)]:
         drawn.remove()
-    longest = SCALE_BAR_SHARE * abs(float(np.subtract(*axes.get_xlim())))
+    longest = 0.3 * abs(float(np.subtract(*axes.get_xlim())))  # of the axes' width
     power = 10.0 ** np.floor(np.log10(longest))
     length = power * max(n for n in (1, 2, 5) if n * power <= longest)
     text = f"{length:g} m, north up" if north_up else f"{length:g} m"
-    bar = AnchoredSizeBar(axes.transData, length, text, "lower right", pad=0.4, sep=SCALE_BAR_SEP)
+    # letters reach above their box by 6 points
+    bar = AnchoredSizeBar(axes.transData, length, text, "lower right", pad=0.4, sep=6)
     axes.add_artist(bar)
 
 

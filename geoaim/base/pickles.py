@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-PROTOCOL = 4  # which Python 3.4 and later read
 ARRAY_KINDS = "biufSU"  # kinds of NumPy's types: numbers and texts
 KEYS = (str, int, float, bytes, type(None))
 MEMORY, MEMORY_PER_BYTE = 3e8, 20  # bytes while a pickle is read, and for each byte of it
@@ -43,7 +42,7 @@ def read_pickle(content: bytes) -> Any:
 def write_pickle(value: Any) -> bytes:
     """Write a pickle whose arrays can be loaded with any version of NumPy (`_PlainPickler`)."""
     sink = BytesIO()
-    _PlainPickler(sink, PROTOCOL).dump(value)
+    _PlainPickler(sink, 4).dump(value)  # the protocol that Python 3.4 and later read
     return sink.getvalue()
 
 

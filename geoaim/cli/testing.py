@@ -57,9 +57,6 @@ def find_sample() -> Path:
     return found.resolve()
 
 
-MAX_LISTED_GRIDS = 5
-
-
 def doctor(as_json: options.AsJson = False) -> None:
     """Print versions, drivers, threads, GPU and folders: what a bug report needs.
 
@@ -106,7 +103,7 @@ def _describe_proj() -> str:
 
     folders = {Path(part) for part in (*get_data_dir().split(os.pathsep), get_user_data_dir())}
     grids = sorted({file.name for folder in folders for file in folder.glob("*.tif")})
-    listed = f"{len(grids)} ({', '.join(grids[:MAX_LISTED_GRIDS])})" if grids else "none"
+    listed = f"{len(grids)} ({', '.join(grids[:5])})" if grids else "none"
     network = "on" if is_network_enabled() else "off"
     return f"{pyproj.proj_version_str}; grids: {listed}; network for missing ones: {network}"
 

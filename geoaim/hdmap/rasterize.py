@@ -44,8 +44,6 @@ LINES: dict[str, tuple[Colour, float]] = {  # kind, or kind and subtype: colour,
 }
 SUPERSAMPLING = 4  # pixels that are drawn for one, each way
 MARGIN_M = 10.0  # distance from the map to the edges of the image
-ARROW_SPACING_M = 12.0  # distance between arrows along a lane
-ARROW_LENGTH_M = 1.2
 MAX_DRAWN_PIXELS = 400_000_000  # beyond this, the map should be cut, or the resolution is wrong
 
 
@@ -122,12 +120,12 @@ def _list_shapes(hdmap: HDMap) -> Iterator[tuple[BaseGeometry, Colour]]:
 def _make_arrows(lanelet: Lanelet) -> Iterator[Polygon]:
     """Arrow heads along the middle of a lane."""
     length = sum(LineString(line).length for line in (lanelet.left, lanelet.right)) / 2
-    count = max(1, round(length / ARROW_SPACING_M))
+    count = max(1, round(length / 12.0))  # an arrow each 12 m
     shares = (np.arange(count) + 0.5) / count
     starts, ends = (
         sample_borders(lanelet, at).mean(axis=0) for at in (shares, np.minimum(shares + 0.02, 1.0))
     )
     for start, end in zip(starts, ends, strict=True):
-        along = (end - start) / max(np.linalg.norm(end - start), 1e-9) * ARROW_LENGTH_M
+        along = (end - start) / max(np.linalg.norm(end - start), 1e-9) * 1.2
         across = np.array([-along[1], along[0]]) * 0.35
         yield Polygon([start + along / 2, start - along / 2 + across, start - along / 2 - across])

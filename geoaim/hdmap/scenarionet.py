@@ -29,7 +29,6 @@ LANES = {"bicycle_lane": "LANE_BIKE_LANE", "bikelane": "LANE_BIKE_LANE"}
 AREAS = {"crosswalk": "CROSSWALK", "walkway": "ROAD_EDGE_SIDEWALK"}
 EDGES = ("curbstone", "road_border", "guard_rail")
 MARKINGS = ("line_thin", "line_thick")
-SPACING_M = 2.0  # distance between the points along the middle of a lane
 MAX_JOINT_M = 0.5  # largest distance between the end of a lane and the beginning of the next
 
 
@@ -71,7 +70,8 @@ def make_map_features(hdmap: HDMap, world: World) -> dict[str, dict[str, Any]]:
 
 def _sample_middle(lanelet: Lanelet) -> Float[Array, "n 2"]:
     length = max(LineString(line).length for line in (lanelet.left, lanelet.right))
-    shares = np.linspace(0, 1, max(2, int(np.ceil(length / SPACING_M)) + 1))
+    # a point each 2 m
+    shares = np.linspace(0, 1, max(2, int(np.ceil(length / 2.0)) + 1))
     return sample_borders(lanelet, shares).mean(axis=0)
 
 
@@ -90,7 +90,6 @@ def _connect_lanes(lanes: Mapping[str, Lanelet]) -> dict[str, tuple[list[str], l
 
 VERSION = "1.0"
 DT_S = 0.1  # which MetaDrive and UniTraj take for granted
-HISTORY_STEPS = 11  # length of the history in Waymo's scenarios; prediction starts after it
 VEHICLES = AGENT_GROUPS["vehicle"]
 TYPES = {
     **dict.fromkeys(VEHICLES, "VEHICLE"),
@@ -100,7 +99,6 @@ TYPES = {
 }
 # metres, typical: tracks have no heights
 HEIGHTS = {"car": 1.5, "van": 2.0, "truck": 3.2, "bus": 3.2}
-OTHER_HEIGHT = 1.7
 STATES = {GREEN: "LANE_STATE_GO", YELLOW: "LANE_STATE_CAUTION", RED: "LANE_STATE_STOP"}
 
 
@@ -170,7 +168,7 @@ def _describe_track(tracks: Tracks, row: int) -> dict[str, Any]:
             "valid": present,
             "length": ones * tracks.sizes[row, 0],
             "width": ones * tracks.sizes[row, 1],
-            "height": ones * HEIGHTS.get(kind, OTHER_HEIGHT),
+            "height": ones * HEIGHTS.get(kind, 1.7),
         },
         "metadata": {**metadata, "dataset": "geoaim", TYPE_KEY: kind},
     }
@@ -194,7 +192,8 @@ def _describe_scenario(tracks: Tracks, name: str, ego: str | None) -> dict[str, 
         "sample_rate": DT_S,
         "sdc_id": ego,
         "sdc_track_index": tracks.ids.index(ego),
-        "current_time_index": min(HISTORY_STEPS, len(tracks.times)) - 1,
+        # as in Waymo's scenarios, in which prediction starts after 11 steps
+        "current_time_index": min(11, len(tracks.times)) - 1,
         "object_summary": {agent: _sum_up(tracks, row) for row, agent in enumerate(tracks.ids)},
         WORLD_KEY: {"crs": tracks.world.crs, "origin": list(map(float, tracks.world.origin))},
     }

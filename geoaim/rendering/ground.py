@@ -14,7 +14,6 @@ from geoaim.base.world import World, describe_world
 GREY = 0.5
 MAX_BRIGHTNESS = 2.0  # interpolation may exceed 1 a little; colours from 0 to 255 exceed this
 MAX_FLOAT_SPACING_PX = 0.25  # largest spacing of neighbouring floats at a map, in its pixels
-MAX_AFFINE_ERROR = 1e-6  # tolerance for the last row of a (3, 3) transform, which must be 0, 0, 1
 
 
 @dataclass(frozen=True)
@@ -170,7 +169,7 @@ def _check_matrices(image_from_world: Float[Tensor, "*M r 3"]) -> Float[Tensor, 
     matrices = matrices[:, :2]
     if not torch.isfinite(matrices).all() or not (compute_resolutions(matrices) > 0).all():
         raise ValueError(f"image_from_world is {image_from_world.tolist()}; it must be invertible")
-    if last.numel() and last.abs().max() > MAX_AFFINE_ERROR:
+    if last.numel() and last.abs().max() > 1e-6:
         raise ValueError(
             f"image_from_world is {image_from_world.tolist()}; its last row must be 0, 0, 1: use "
             "`ground_from_corners` for an image in perspective"

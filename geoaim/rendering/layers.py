@@ -14,7 +14,6 @@ from geoaim.tracks.lights import STATES
 
 EGO_COLOUR = (1.0, 0.35, 0.0)
 HEADING_COLOUR = (1.0, 1.0, 1.0)
-TRAIL_WIDTH_M = 0.4
 
 
 def make_agent_boxes(
@@ -63,7 +62,7 @@ def make_trail_boxes(scene: Scene, steps: Int[Tensor, "B"], *, duration: float) 
     present = present & present[:, -1:] & (trail_steps >= 0)[..., None]
     points = poses[..., :2].reshape(*shape, 2).transpose(1, 2)  # (B, N, S, 2)
     colours, present = get_agent_colours(scene), present.transpose(1, 2)
-    return make_path_boxes(points, colours, width=TRAIL_WIDTH_M, present=present)
+    return make_path_boxes(points, colours, width=0.4, present=present)
 
 
 def make_layers(

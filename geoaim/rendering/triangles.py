@@ -6,8 +6,6 @@ from torch import Tensor
 
 from geoaim.rendering.ground import View
 
-MIN_RUN_PX = 1e-3  # an edge whose ends differ by less in x counts as vertical
-
 
 def paint_triangles(
     view: View,
@@ -95,7 +93,7 @@ def compute_pixel_coverage(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"
     first_x = x + (start - y) * slope
     last_x = x + (end - y) * slope
     width = last_x - first_x
-    vertical = width.abs() < MIN_RUN_PX
+    vertical = width.abs() < 1e-3  # pixels
     mean_x = _integrate_within_limits(last_x) - _integrate_within_limits(first_x)
     mean_x = mean_x / torch.where(vertical, 1.0, width)
     mean_x = torch.where(vertical, ((first_x + last_x) / 2).clamp(0, 1), mean_x)

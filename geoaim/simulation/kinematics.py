@@ -15,7 +15,6 @@ from torch import Tensor
 
 WHEELBASE_PER_LENGTH = 0.6  # the axles lie symmetrically about the box's centre
 MIN_DISTANCE_M = 1e-6  # a shorter step determines no curvature
-MAX_SIN_SLIP = 0.999
 State = Float[Tensor, "... 4"]
 Action = Float[Tensor, "... 2"]
 
@@ -51,7 +50,7 @@ def _invert_bicycle(
     moves = distance.abs() > MIN_DISTANCE_M
     turn = wrap_angle(next_state[..., 2] - state[..., 2])
     sine = WHEELBASE_PER_LENGTH / 2 * length * turn / torch.where(moves, distance, 1.0)
-    sine = torch.where(moves, sine, 0.0).clamp(-MAX_SIN_SLIP, MAX_SIN_SLIP)
+    sine = torch.where(moves, sine, 0.0).clamp(-0.999, 0.999)
     steering = torch.atan(2 * sine / torch.sqrt(1 - sine**2))
     return torch.stack([(next_state[..., 3] - state[..., 3]) / dt, steering], dim=-1)
 

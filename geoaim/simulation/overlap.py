@@ -4,8 +4,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-SHRINKAGE = 2e-6  # share by which one box of a pair is smaller, so that edges never coincide
-MIN_ADVANCE_M = 1e-9  # an edge that advances less along an axis is parallel to it
 CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))  # forward, left; counter-clockwise
 
 
@@ -35,7 +33,8 @@ def compute_intersection_area(
     1.5
     """
     dtype, poses, sizes = poses.dtype, poses.double(), sizes.double()
-    sizes = sizes * sizes.new_tensor([[1.0], [1.0 - SHRINKAGE]])
+    # one box of a pair is smaller, so that edges never coincide
+    sizes = sizes * sizes.new_tensor([[1.0], [1.0 - 2e-6]])
     origin = poses[:, :1, :2]  # cross products are small, and so exact, near the origin
     local = torch.cat([poses[..., :2] - origin, poses[..., 2:]], dim=-1)
     start = compute_box_corners(local, sizes)  # (n, 2, 4, 2)
@@ -98,7 +97,7 @@ def _clip_edges(
         for vector in (start - poses[..., None, :2], end - start)
     )
     half = sizes[..., None, :] / 2
-    parallel = direction.abs() < MIN_ADVANCE_M
+    parallel = direction.abs() < 1e-9
     safe = torch.where(parallel, 1.0, direction)
     low, high = (-half - origin) / safe, (half - origin) / safe
     always = torch.where(origin.abs() < half, torch.inf, -torch.inf)  # inside, or outside

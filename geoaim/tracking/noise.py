@@ -7,7 +7,6 @@ from numpy import ndarray as Array
 from geoaim.tracking.ground_detections import GroundDetections
 
 DEFAULT_NOISE_PX = 2.0  # of a coordinate of a box's middle, where too few detections tell
-MIN_NOISE_PX = 0.3
 MIN_TRIPLES = 30  # detections in three successive frames that tell the noise
 SLOW_DT = 0.2  # s; time between frames in which agents accelerate by more than the noise
 ABSORBED = 1.25  # lasting errors over those that sizes, estimated from the same boxes, leave
@@ -35,7 +34,7 @@ def estimate_noise(
     if len(second) < MIN_TRIPLES:
         return DEFAULT_NOISE_PX
     spread = NORMAL_SCALE * float(np.median(np.abs(second))) / np.sqrt(6)
-    return max(spread, MIN_NOISE_PX)
+    return max(spread, 0.3)
 
 
 def estimate_lasting_noise(

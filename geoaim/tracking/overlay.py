@@ -14,7 +14,6 @@ from geoaim.tracks.agent_types import get_colour
 from geoaim.tracks.tracks import Tracks
 
 SHIFT = 3  # bits of the fractions of pixels in which lines are drawn
-LINE_PX = 2
 FRONT_COLOUR = (255, 255, 255)
 BOX = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])  # its front comes first
 
@@ -67,4 +66,4 @@ def _draw(
         for points, ink in ((past, colour), (box[[0, 3, 2, 1]], colour), (box[:2], FRONT_COLOUR)):
             pixels = transform_points(picture_from_world, points) * 2**SHIFT
             line = pixels.round().astype(np.int32)
-            cv2.polylines(picture, [line], False, ink, LINE_PX, cv2.LINE_AA, SHIFT)
+            cv2.polylines(picture, [line], False, ink, 2, cv2.LINE_AA, SHIFT)

@@ -15,7 +15,6 @@ EFFECTIVE_BOXES = 30.0  # independent boxes that a track counts as at most: a de
 MIN_SIZE_M = 0.2
 MAX_SMALL_RESOLUTION = 0.12  # metres per pixel up to which vehicles are searched with people
 UNKNOWN_TYPE = "unknown"  # of agents without a type and without extents
-ITERATIONS = 3
 TURNS = np.radians(np.arange(0.0, 180.0, 1.0))  # headings that are compared with a box's extents
 MAX_ERRORS = 2.5  # standard deviations beyond which a box counts less (Huber 1964)
 
@@ -68,7 +67,7 @@ def estimate_size(
     values = np.concatenate([extent[:, 0], extent[:, 1]])
     share = min(1.0, EFFECTIVE_BOXES / max(len(extent), 1))
     size = prior
-    for _ in range(ITERATIONS):
+    for _ in range(3):
         misfit = np.abs(values - rows @ size) / max(sigma, 1e-3)
         weight = np.minimum(1, MAX_ERRORS / np.maximum(misfit, 1e-9))
         weighted = rows * (share * weight / max(sigma, 1e-3) ** 2)[:, None]

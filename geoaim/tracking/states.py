@@ -33,7 +33,6 @@ from geoaim.tracks.tracks import Tracks
 
 MIN_WHOLE_BOXES = 5  # that tell a size; fewer may be of something else
 MAX_TURN_SINE = 0.2  # of agents whose extents tell errors of boxes
-ENOUGH_BOXES = 100_000  # that tell them
 LASTING_TURN = 0.6  # share of a lasting error that changes while the rear axle is pulled along
 COMPLETED_SIGMA_M = 0.2  # of one that has been completed by the agent's size
 
@@ -207,7 +206,7 @@ def _measure_lasting(
 ) -> Float[Array, "M"]:
     """Measure errors of the middles that last, by how extents scatter about what they should be."""
     whole = np.flatnonzero(~detections.may_be_cut)
-    whole = whole[:: len(whole) // ENOUGH_BOXES + 1]
+    whole = whole[:: len(whole) // 100_000 + 1]  # enough boxes tell them
     turn = headings[whole] - detections.axis[whole]
     cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
     length, width = sizes[whole].T

@@ -84,7 +84,6 @@ METADATA_KEY = b"geoaim_world"
 GEOMETRY = "geometry"  # column of points in Parquet, which other programs show on a map
 CSV = FileFormat("tracks", 1, 1, first_checked=2, error=TracksError)
 PARQUET = FileFormat("tracks", 1, 2, first_checked=2, error=TracksError)
-BYTES_PER_VALUE = 40  # memory for a value of Parquet
 MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
 
 
@@ -245,7 +244,7 @@ def open_parquet(path: str | os.PathLike[str]) -> "ParquetFile":
     unpacked = sum(metadata.row_group(i).total_byte_size for i in range(metadata.num_row_groups))
     check_memory(path, unpacked, size, TracksError, f"{unpacked / 1e6:.0f} MB")
     rows, columns = metadata.num_rows, metadata.num_columns
-    needed = rows * columns * BYTES_PER_VALUE
+    needed = rows * columns * 40  # bytes of memory for a value of Parquet
     check_memory(path, needed, size, TracksError, f"{rows} rows of {columns} columns")
     return file
 

@@ -50,7 +50,6 @@ KIT_STATES = {
     "PERMISSIVE_CLEARANCE": "yellow",
     "PROTECTED_CLEARANCE": "yellow",
 }
-MAX_LISTED_LINES = 8
 SIND_STATES = {"0": "red", "1": "green", "3": "yellow"}
 
 
@@ -185,7 +184,7 @@ def _describe_lines(lines: Sequence[StopLine]) -> str:
     """Describe which stop lines there are, and where."""
     if not lines:
         return "no stop lines were given"
-    places = [(line.signal, *line.ends.mean(axis=0)) for line in lines[:MAX_LISTED_LINES]]
+    places = [(line.signal, *line.ends.mean(axis=0)) for line in lines[:8]]
     named = ", ".join(f"{name} at ({x:.0f}, {y:.0f}) m" for name, x, y in places)
     return f"stop lines were given of {named}{', ...' if len(lines) > len(places) else ''}"
 

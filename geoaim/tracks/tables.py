@@ -27,7 +27,6 @@ UNITS = {
     "length": "metres",
     "width": "metres",
 }
-BYTES_PER_STATE = 80  # memory for the state of an agent at a time, while tracks are made
 MAX_STATES_PER_ROW = 500  # agents times times, for each of the few of them that have a row
 
 
@@ -54,7 +53,8 @@ def make_tracks(rows: pd.DataFrame, world: World) -> Tracks:
     ticks, step = np.unique(ticks, return_inverse=True)
     agent, ids = pd.factorize(rows["id"].astype(str).to_numpy(object))
     first = np.unique(agent, return_index=True)[1]
-    least = read_memory_limit() / BYTES_PER_STATE
+    # 80 bytes are needed for a state, while tracks are made
+    least = read_memory_limit() / 80
     limit = int(min(max(least, MAX_STATES_PER_ROW * len(rows)), MAX_STATES))
     if len(ids) * len(ticks) > limit:
         raise TracksError(

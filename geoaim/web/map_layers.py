@@ -19,9 +19,7 @@ from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.web.tiles import Colours, TiledRaster, tile_array, tile_dataset
 
 CONTESTED_COLOUR, CONTESTED_HEX = (255, 0, 200, 170), "#ff00c8"
-COVERAGE_ALPHA = 200
 COVERAGE_COLOURS = (matplotlib.colormaps["magma"](np.arange(256))[:, :3] * 255).astype(np.uint8)
-LEGEND_STEPS = 9  # colours of a legend; between them it is linear
 LINE_COLOURS = {  # keys: lanelet2's kinds of line
     "curbstone": "#7c4a03",
     "stop_line": "#c1121f",
@@ -30,7 +28,6 @@ LINE_COLOURS = {  # keys: lanelet2's kinds of line
     "virtual": "#8888aa",
 }
 MARKING_COLOUR = "#ffffff"
-MAX_FITTED_POINTS = 9  # points on a side at which longitude and latitude are fitted
 Description = dict[str, Any]
 
 
@@ -38,7 +35,7 @@ def colour_coverage(bands: Array, most: float) -> Colours:
     """Colour the low and the high byte of the coverage (2, h, w); brightest at `most` frames."""
     coverage = bands[0] + bands[1].astype(np.uint16) * 256
     shade = COVERAGE_COLOURS[np.clip(coverage * (255 / max(most, 1)), 0, 255).astype(np.uint8)]
-    return np.dstack([shade, np.where(coverage > 0, COVERAGE_ALPHA, 0).astype(np.uint8)])
+    return np.dstack([shade, np.where(coverage > 0, 200, 0).astype(np.uint8)])
 
 
 def colour_contested(bands: Array) -> Colours:
@@ -91,7 +88,8 @@ def describe_raster(name: str, path: str, raster: TiledRaster, **options: object
 
 def describe_legend(most: float) -> Description:
     """Describe the colours of `colour_coverage`, from 0 to `most` frames."""
-    chosen = COVERAGE_COLOURS[np.linspace(0, 255, LEGEND_STEPS).astype(int)]
+    # between nine colours the legend is linear
+    chosen = COVERAGE_COLOURS[np.linspace(0, 255, 9).astype(int)]
     colours = [to_hex(tuple(colour)) for colour in chosen / 255]
     return {"from": 0, "to": round(most), "unit": "frames", "colours": colours}
 
@@ -127,7 +125,7 @@ def describe_lonlat(world: World, points: Float[Array, "n 2"]) -> Description | 
         return None
     low, high = points.min(axis=0), points.max(axis=0)
     center, scale = (low + high) / 2, float(max(high - low) / 2)
-    line = np.linspace(-1.0, 1.0, MAX_FITTED_POINTS)
+    line = np.linspace(-1.0, 1.0, 9)  # places at which longitude and latitude are fitted
     u, v = (axis.ravel() for axis in np.meshgrid(line, line))
     terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
     lonlat = lonlat_from_world(world, center + scale * np.stack([u, v], axis=1))

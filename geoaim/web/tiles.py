@@ -15,7 +15,6 @@ from rasterio.windows import Window
 from geoaim.base.grid import Grid
 
 TILE_PX = 512
-JPEG_QUALITY = 92
 Colours = UInt8[Array, "h w 4"]  # red, green, blue, alpha
 # rows and columns (start, stop) in pixels of the grid, and the wanted height and width
 ReadBlock = Callable[[tuple[int, int], tuple[int, int], tuple[int, int]], Colours]
@@ -85,7 +84,7 @@ def encode_picture(picture: UInt8[Array, "h w c"]) -> bytes:
         colours = cv2.cvtColor(picture, cv2.COLOR_RGBA2BGRA)
         return cv2.imencode(".png", colours, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
     colours = np.ascontiguousarray(picture[..., 2::-1])
-    return cv2.imencode(".jpg", colours, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+    return cv2.imencode(".jpg", colours, [cv2.IMWRITE_JPEG_QUALITY, 92])[1].tobytes()
 
 
 def tile_array(pixels: Colours, grid: Grid) -> TiledRaster:

@@ -29,8 +29,6 @@ from geoaim.mapping.background.warping import (
 from geoaim.mapping.video.detections import Detections, convert_boxes, grow_boxes
 from geoaim.mapping.video.frames import Frame, image_from_planes
 
-MAX_COUNT = 65_535  # frames that a pixel of uint16 can count
-
 Registered = tuple[Frame, Float[Array, "3 3"]]  # a frame and its image_from_frame
 
 
@@ -137,7 +135,8 @@ class RunningMean:
             matrix = np.linalg.inv(scale) @ shift @ image_from_frame @ scale
             warped = apply_gain(warp(pixels, matrix, plane.count[part].shape), gain, plane.neutral)
             plane.blur[:] += [*measure_warp_blur(matrix, plane.count[part].shape), 1.0]
-            shown = unmasked[every, every] * (plane.count[part] < MAX_COUNT)
+            # uint16 counts no more frames
+            shown = unmasked[every, every] * (plane.count[part] < 65_535)
             cv2.accumulate(warped, plane.total[part], shown)
             plane.count[part] += shown
             if mask is not None:

@@ -8,7 +8,6 @@ from numpy import ndarray as Array
 from geoaim.base.geometry import image_corners, to_opencv, transform_points
 
 FRAME_INSET_PX = 0.5  # a frame covers the area between the centres of its outermost pixels
-PHASES = 16  # points along each side at which sub-pixel phases are sampled
 
 
 def warp(
@@ -42,7 +41,8 @@ def measure_warp_blur(matrix: Float[Array, "3 3"], size: tuple[int, int]) -> Flo
     where pixels fall on pixels, 1/6 where the phases are uniformly distributed. The arguments are
     those of `warp`.
     """
-    steps = [(np.arange(PHASES) + 0.5) * extent / PHASES // 1 + 0.5 for extent in size[::-1]]
+    # sub-pixel phases are sampled at 16 points along each side
+    steps = [(np.arange(16) + 0.5) * extent / 16 // 1 + 0.5 for extent in size[::-1]]
     points = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
     phase = (transform_points(np.linalg.inv(matrix), points) - 0.5) % 1.0
     return np.asarray((phase * (1 - phase)).mean(axis=0))

@@ -45,7 +45,6 @@ class ControlPoints:
     redundancy: float = 1.0  # points that tell as much as one, since their errors are alike
 
 
-MAX_DIGITS = 19  # a number of 64 bits has as many
 # What `read_control_points` reads: a file, points of Python, or `dataset.gcps` of rasterio.
 ControlPointSource = (
     str
@@ -165,7 +164,8 @@ def _collect_points(
 
 def _parse_frame(text: str) -> str | int | None:
     """The number of a frame, or the name of an image; Python makes no number of 5000 digits."""
-    return int(text) if text.isdecimal() and len(text) < MAX_DIGITS else text or None
+    # a number of 64 bits has 19 digits
+    return int(text) if text.isdecimal() and len(text) < 19 else text or None
 
 
 def _leave_out_incomplete(

@@ -21,8 +21,6 @@ from geoaim.mapping.georeference.point_files import ODM_PIXEL_SHIFT, SHARED_COVA
 
 QGIS_HEADER = "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
 
-MAX_NAME_CHARS = 200
-
 
 def write_control_points(points: ControlPoints, path: str | Path) -> None:
     """Write control points to a file, whole or not at all; the format follows from its name.
@@ -55,7 +53,7 @@ def format_points(points: ControlPoints, suffix: str) -> str:
 def clean_text(text: str) -> str:
     """Make a name one line without control characters, which every format can hold."""
     printable = "".join(c if c.isprintable() else " " for c in text)
-    return " ".join(printable.split())[:MAX_NAME_CHARS]
+    return " ".join(printable.split())[:200]
 
 
 def _format_csv(points: ControlPoints) -> str:

@@ -45,7 +45,6 @@ ODM_PIXEL_SHIFT = 0.5  # px from OpenDroneMap's origin, the first pixel's centre
 MAX_NUMBER = 1e12  # no pixel and no coordinate in metres, feet or degrees is as far away
 SHARED_COVARIANCE = "shared covariance"  # comment of a file: three numbers, square metres
 SHEET_TAG = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
-MAX_SHEET_COLUMNS = 26  # A to Z; others are not read
 MAX_ROWS = 10_000  # a georeference of as many takes seconds
 MAX_WORKBOOK_BYTES = 20_000_000  # unpacked
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
@@ -127,7 +126,7 @@ def _read_workbook(content: bytes) -> str:
         trees = [ElementTree.fromstring(book.read(name)) for name in parts]
     texts = ["".join(item.itertext()) for item in trees[0].iter(f"{SHEET_TAG}si")]
     for row in trees[-1].iter(f"{SHEET_TAG}row"):
-        cells = [""] * MAX_SHEET_COLUMNS
+        cells = [""] * 26  # A to Z; others are not read
         for number, cell in enumerate(row.iter(f"{SHEET_TAG}c")):
             letters = cell.get("r", "").rstrip("0123456789") or chr(ord("A") + number)
             if len(letters) > 1 or letters > "Z":

@@ -28,7 +28,6 @@ PRIOR_GROUPS = ([4, 5], [6, 7], [8])  # terms that share a scale
 # beat the homography of four right points.
 NOISE_SPREAD = 0.7
 KNOWN = np.array([0.0] * 4 + [1e12] * 5)  # precision of terms of a similarity: the others are 0
-MAX_ITERATIONS = 30
 
 
 def fit_posterior(
@@ -46,7 +45,7 @@ def fit_posterior(
     if similarity:
         precision = KNOWN
     variance, terms, start = sigma**2, np.full(9, np.nan), None
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(30):
         previous = terms
         terms = fit_terms(pairs, list(range(9)), precision * variance, start)
         design = pairs.compute_design(terms).reshape(-1, 9)

@@ -37,7 +37,6 @@ from geoaim.mapping.video.video import Video
 
 # largest angle between the camera and straight down, without control points
 MAX_TILT = np.radians(10.0)
-FILM_DIAGONAL_MM = 43.27  # diagonal of the film to which a 35 mm equivalent focal length refers
 MAX_DISTANCE_M = 10_000.0  # no camera of a drone sees streets from farther; zones are 300 km apart
 MAX_GAP_S = 1.0  # a warning is given where the nearest entry that states a position is further away
 # What a caller gives where telemetry lacks a field: by an option of build, or in Python.
@@ -274,7 +273,8 @@ def _georeference_by_telemetry(
             "distance flown in between"
         )
     half_width = (
-        FILM_DIAGONAL_MM / 2 * reference.width / np.hypot(reference.height, reference.width)
+        # 43.27 mm: diagonal of the film that a 35 mm equivalent focal length refers to
+        43.27 / 2 * reference.width / np.hypot(reference.height, reference.width)
     )
     return approximate_georeference(
         latitude=float(telemetry.latitude[nearest]),
@@ -311,7 +311,6 @@ def _find_nearest(times: Float[Array, " T"], values: Float[Array, " T"], time: f
 
 
 STEP_LENGTH = 0.3  # added for each link, in image diagonals: prefers paths of few links
-UNLINKED = -9999  # what SciPy gives as the predecessor where there is no path
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,7 +357,7 @@ def chain_links(links: PhotoLinks, photo: int, reference: int) -> Float[Array, "
     matrix = np.eye(3)
     while photo != reference:
         nearer = int(previous[photo])
-        if nearer == UNLINKED:
+        if nearer == -9999:  # SciPy: there is no path
             return None
         if nearer < photo:
             matrix = links.transforms[nearer, photo] @ matrix

@@ -22,7 +22,6 @@ Points = Float[Array, "m 2"]  # rows of x and y, or of u and v
 Terms = Float[Array, "9"]  # the nine terms in the order above
 
 TERM_COUNTS = {"similarity": 4, "homography": 8}  # free terms without the lens
-MAX_EVALUATIONS = 30  # evaluations of a fit; 6 are usual, and only grossly wrong points take more
 
 
 @dataclass(frozen=True)
@@ -122,7 +121,8 @@ def fit_terms(
         return np.concatenate([design, np.diag(root)])
 
     first = np.zeros(len(free)) if start is None else start[free]
-    limits = {"xtol": 1e-9, "ftol": 1e-12, "gtol": 1e-15, "max_nfev": MAX_EVALUATIONS}
+    # 6 evaluations are usual, and only grossly wrong points take more
+    limits = {"xtol": 1e-9, "ftol": 1e-12, "gtol": 1e-15, "max_nfev": 30}
     terms[free] = least_squares(residuals, first, jacobian, method="lm", **limits).x
     return terms
 

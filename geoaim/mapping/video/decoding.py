@@ -21,7 +21,6 @@ from geoaim.base.limits import MAX_RECORDING_S, check_regular
 from geoaim.mapping.video.frames import Frame
 
 DEFAULT_RATE = 25  # frames per second, where a file states none
-KEYFRAMES_TOGETHER = 8  # keyframes whose packets are read in one go
 SKIPPING_FRAMES = 2.0  # frames of slack, from which frames that no other needs are not decoded
 MAX_FAILURES_AT_END = 64  # frames that a decoder holds at the end; some repeat errors for ever
 MIN_END_TOLERANCE_S = 0.25  # a file may last so much longer than its last frame
@@ -332,7 +331,7 @@ def _decode_runs(
     """Yield each run with its frames."""
     for alone, group in groupby(runs, attrgetter("alone")):
         if alone:
-            while some := list(islice(group, KEYFRAMES_TOGETHER)):
+            while some := list(islice(group, 8)):  # keyframes whose packets are read in one go
                 keyframes = [run.keyframe for run in some if run.keyframe]
                 frames = _decode_keyframes(file, container, stream, keyframes)
                 yield from zip(some, frames, strict=True)

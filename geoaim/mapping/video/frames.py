@@ -17,7 +17,6 @@ LUMA_FIRST = frozenset(
 # as FFmpeg itself takes untagged video to be.
 LUMA_WEIGHTS = {1: (0.2126, 0.0722), 4: (0.30, 0.11), 7: (0.212, 0.087), 9: (0.2627, 0.0593)}
 BT601 = (0.299, 0.114)
-FULL_RANGE = 2  # AVCOL_RANGE_JPEG
 
 
 class YuvEncoding(NamedTuple):
@@ -77,7 +76,8 @@ class Frame:
         """How the planes of a video file's frame encode RGB; None for images and arrays."""
         if isinstance(self.decoded, Array):
             return None
-        full = self.decoded.color_range == FULL_RANGE or "yuvj" in self.decoded.format.name
+        # 2 is AVCOL_RANGE_JPEG
+        full = self.decoded.color_range == 2 or "yuvj" in self.decoded.format.name
         return YuvEncoding(*LUMA_WEIGHTS.get(int(self.decoded.colorspace), BT601), full)
 
 

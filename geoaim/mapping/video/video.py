@@ -27,7 +27,6 @@ from geoaim.mapping.video.subtitles import read_subtitles
 from geoaim.mapping.video.telemetry import Telemetry
 
 BYTES_PER_PIXEL = 16  # memory for a pixel while an image is decoded
-MAX_CHANNELS = 4  # of an image: RGB and opacity
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 Pixels = UInt8[Array, "H W 3"] | UInt8[Array, "H W"]
 # seconds of a video to which it is cut, as of a media fragment (W3C): flight.mp4#t=8.5,24
@@ -314,7 +313,7 @@ def _read_image(path: Path) -> UInt8[Array, "H W 3"]:
     with refuse_damaged(path, VideoError, "an image that can be read"):
         with open_raster_file(path) as header:
             height, width = header.shape
-            if header.count > MAX_CHANNELS:
+            if header.count > 4:  # RGB and opacity
                 raise ValueError(
                     f"it has {header.count} bands; a map of geoaim is for geoaim view and align"
                 )

@@ -25,7 +25,6 @@ from geoaim.tracks.formats.plausibility import (
 from geoaim.tracks.formats.shared import TrackFormat, check_resolution, has_columns
 from geoaim.tracks.tracks import Tracks
 
-MAX_LINE_CHARS = 100_000
 _has_plain_columns = has_columns("id", "type", "time", "heading")
 
 
@@ -141,6 +140,6 @@ def _read_first_line(path: Path) -> str:
     try:
         opened = gzip.open if path.suffix.lower() == ".gz" else open
         with opened(path, "rt", encoding="utf-8-sig", errors="replace") as file:
-            return str(file.readline(MAX_LINE_CHARS)).strip()
+            return str(file.readline(100_000)).strip()
     except (OSError, EOFError, zlib.error) as error:
         raise TracksError(f"{path} is not a table of tracks: {error}") from error

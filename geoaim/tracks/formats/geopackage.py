@@ -27,7 +27,6 @@ from geoaim.tracks.tracks import COLUMNS, Tracks
 NEEDED = "a GeoPackage of tracks"
 STATE_COLUMNS = tuple(name for name in COLUMNS if name not in ("x", "y"))
 NUMBERS = STATE_COLUMNS[2:]
-BYTES_PER_ROW = 1000  # memory for a row
 EPOCH = "1970-01-01"  # at which `time` is 0, where nobody says when that was
 DATE = f"{EPOCH}T00:00:00.000Z"  # instead of the time of writing: same tracks, same bytes
 CLOCK = "datetime"  # column by which QGIS's temporal controller plays, in UTC
@@ -187,7 +186,8 @@ def _check_tables(path: Path) -> None:
                 if wrong := database.execute(query).fetchone():
                     raise ValueError(f"{name} {wrong[0]!r} is not a number")
         (count,) = database.execute("SELECT count(*) FROM states").fetchone()
-    check_memory(path, count * BYTES_PER_ROW, path.stat().st_size, TracksError, f"{count} rows")
+    # 1000 bytes of memory for a row
+    check_memory(path, count * 1000, path.stat().st_size, TracksError, f"{count} rows")
 
 
 def _read_origin(info: dict[str, Any]) -> tuple[float, float] | None:

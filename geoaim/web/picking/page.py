@@ -28,7 +28,6 @@ from geoaim.web.picking.session import PickingSession, PickingTask, open_session
 from geoaim.web.picking.state import assess_session, describe_session
 from geoaim.web.tiles import TiledRaster, encode_picture, tile_array
 
-MAX_OVERLAY_PX = 1600  # longer side of the overlay
 STAGES = ("search", "refine", "verify")  # of `match_image`
 
 
@@ -149,7 +148,7 @@ def draw_overlay(session: PickingSession) -> dict[str, Any]:
     high = np.clip(np.ceil(corners.max(axis=0)), 0, limits)
     if not (high - low > 1).all():
         return {}
-    scale = min(1.0, MAX_OVERLAY_PX / float(max(high - low)))
+    scale = min(1.0, 1600 / float(max(high - low)))
     width, height = (int(side) for side in np.ceil((high - low) * scale))
     picture_from_imagery = np.array(
         [[scale, 0.0, -scale * low[0]], [0.0, scale, -scale * low[1]], [0.0, 0.0, 1.0]]

@@ -7,7 +7,6 @@ from numpy import ndarray as Array
 
 SNAP_RADIUS_PX = 8.0  # radius around a click in which a corner is searched
 SMOOTHING_PX = 0.7  # sigma of the Gaussian before gradients
-BLOCK_PX = 5  # side of the square over which gradients are compared
 WINDOW_PX = 7  # half the side of the square that refines the corner
 ROUNDED_PX = 3  # half the side of its middle, left out: blur rounds the tip of a corner inwards
 MIN_STRENGTH = 6.0  # strength of the weaker gradient, in variances of the noise
@@ -39,7 +38,7 @@ def _find_corner(
     grey: Shaped[Array, "h w"], clicked: Shaped[Array, "2"], radius: float
 ) -> tuple[float, float] | None:
     smooth = cv2.GaussianBlur(grey.astype(np.float32), (0, 0), SMOOTHING_PX)
-    values = cv2.cornerEigenValsAndVecs(smooth, BLOCK_PX, 3)[..., :2]
+    values = cv2.cornerEigenValsAndVecs(smooth, 5, 3)[..., :2]
     rows, columns = np.indices(grey.shape)
     near = np.hypot(columns - clicked[0], rows - clicked[1]) <= radius
     weaker = np.where(near, values.min(axis=2), -1.0)
