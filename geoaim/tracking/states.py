@@ -60,13 +60,12 @@ def make_states(
     seen = _list_detections(rows)
     agents = _describe_agents(detections, seen)
     smoothed = _smooth(detections.position, np.where(cut, CUT_SIGMA_M, sigma), rows, times, agents)
-    heading = compute_poses(smoothed, rows, agents, detections, None).states[at, 2]
+    heading = compute_poses(smoothed, rows, agents, detections, lanes).states[at, 2]
+    del smoothed  # what long videos would fill the memory with
     agents = _describe_agents(detections, seen, heading - detections.axis)
     agents, size_sigma = _estimate_sizes(agents, heading, detections, seen, sigma)
-    heading = compute_poses(smoothed, rows, agents, detections, lanes).states[at, 2]
     position = complete_cut_boxes(detections, track, heading, agents.sizes)
     sigma = np.where(cut, np.hypot(COMPLETED_SIGMA_M, sigma), sigma)
-    del smoothed, heading  # what long videos would fill the memory with
     again = _smooth(position, sigma, rows, times, agents)
     del position, sigma
     poses = compute_poses(again, rows, agents, detections, lanes)
