@@ -52,5 +52,6 @@ def test_what_fails_once_is_named_and_what_fails_twice_fails(tmp_path, names, co
         assert "test_once.py::test_fails_at_first" in done.stdout.split(HEADING)[1]
 
 
+@pytest.mark.slow
 def test_no_test_at_all_fails(tmp_path):
     assert run(tmp_path).returncode != 0

@@ -1,3 +1,4 @@
+import inspect
 import sys
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from geoaim.cli.inputs import read_scene_sources, read_scenes
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.prediction.checkpoints import read_model, read_pretrained
+from geoaim.prediction.plain import train_plain
 from geoaim.prediction.window_training import WITHOUT_MAP
 from geoaim.prediction.windows import WINDOW_STEPS
 from geoaim.tracks.changes import cut_tracks
@@ -34,6 +36,8 @@ def set_min_ade(monkeypatch, *values):
     """Let validations of a training find given values of minADE, one after the other."""
     found = iter(values)
     monkeypatch.setattr("geoaim.prediction.training._validate", lambda *given: (1.0, next(found)))
+    # nothing here looks at the networks of the place and of its motion
+    monkeypatch.setitem(inspect.unwrap(train_plain).__kwdefaults__, "steps", 2)
 
 
 def test_command_fine_tunes_the_pretrained_model_and_plots_the_training(aim, tmp_path, monkeypatch):

@@ -44,21 +44,28 @@ def view(aim, contents):
     return make_map_view(aim, contents, ExitStack())
 
 
-@pytest.fixture
-def page(chromium):
-    """An empty page of a browser; a script's error fails the test."""
+@pytest.fixture(scope="module")
+def browser(chromium):
+    """A browser for the tests of a file, since it takes longer to start than most of them."""
     from playwright.sync_api import sync_playwright
 
-    errors = []
     with sync_playwright() as playwright:
         arguments = ["--no-sandbox", "--enable-unsafe-swiftshader"]
         browser = playwright.chromium.launch(
             executable_path=chromium, args=arguments, timeout=1000 * LIMIT_S
         )
-        page = browser.new_page(viewport={"width": 1000, "height": 700})
-        page.set_default_timeout(1000 * LIMIT_S)
-        # once the server is closed, what the page still asks for fails
-        page.on("pageerror", lambda error: errors.extend([error] * bool(SERVERS)))
-        yield page
+        yield browser
         browser.close()
+
+
+@pytest.fixture
+def page(browser):
+    """An empty page; a script's error fails the test."""
+    errors = []
+    page = browser.new_page(viewport={"width": 1000, "height": 700})
+    page.set_default_timeout(1000 * LIMIT_S)
+    # once the server is closed, what the page still asks for fails
+    page.on("pageerror", lambda error: errors.extend([error] * bool(SERVERS)))
+    yield page
+    page.context.close()
     assert not errors

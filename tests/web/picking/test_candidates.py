@@ -22,10 +22,9 @@ def make_rough_georeference(place, seed, offset=(0.0, 0.0)):
     return estimate_preliminary(points, height=height, width=width, world=imagery.world)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_pairs_from_three_rough_points_are_right_and_spread(place, seed):
+def test_pairs_from_three_rough_points_are_right_and_spread(place):
     frame, imagery, matrix = place
-    pairs = propose_pairs(frame, imagery, make_rough_georeference(place, seed))
+    pairs = propose_pairs(frame, imagery, make_rough_georeference(place, 0))
     assert 8 <= len(pairs) <= 12
     pixels = np.array([pair.pixel for pair in pairs])
     errors = np.array([pair.place for pair in pairs]) - transform_points(matrix, pixels)

@@ -16,6 +16,7 @@ from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.video.video import open_video, read_frame
 from geoaim.web.picking.actions import handle
+from geoaim.web.picking.candidates import PairCandidate
 from geoaim.web.picking.page import draw_overlay, find_pairs, make_picking_view
 from geoaim.web.picking.session import PickingTask, open_session
 from tests.web.browser import open_view, serve, wait_for
@@ -105,13 +106,19 @@ def test_points_are_dragged_undone_deleted_saved_and_loaded_again(page, task, tr
         assert page.evaluate("geoaim.state.points.map((point) => point.name)") == ["kerb, east"]
 
 
-def test_proposed_pairs_are_accepted_by_a_click(page, task, truth):
+def test_proposed_pairs_are_accepted_by_a_click(page, task, truth, monkeypatch):
+    """Pairs of the truth stand for those of a search, which has tests of its own."""
+    points, on_imagery = truth
+    places = transform_points(task.imagery.world_from_image, on_imagery)
+    found = zip(points.pixels[3:].tolist(), places[3:].tolist(), strict=True)
+    pairs = tuple(PairCandidate(tuple(pixel), tuple(place), 0.1) for pixel, place in found)
+    monkeypatch.setattr("geoaim.web.picking.page.propose_pairs", lambda *_, **given: pairs)
     with serve(make_picking_view(task, "sample")) as address:
         open_view(page, address)
         page.get_by_label("snap clicks to corners").uncheck()
         pick_pairs(page, truth, range(3))
         page.get_by_role("button", name="Propose pairs").click()
-        wait_for(page, "geoaim.state.candidates.length > 3")
+        wait_for(page, "geoaim.state.candidates.length === 3")
         first = page.evaluate("geoaim.state.candidates[0]")
         page.mouse.click(*aim_at(page, "imagery", (first["image_u"], first["image_v"])))
         wait_for(page, "geoaim.state.points.length === 4")
