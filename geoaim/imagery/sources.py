@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypeGuard, runtime_checkable
 
 import numpy as np
-import rasterio.shutil
+import rasterio
 from jaxtyping import Float
 from numpy import ndarray as Array
 from rasterio.enums import ColorInterp
@@ -22,6 +22,7 @@ from geoaim.base.raster_files import IMAGE_DRIVERS
 from geoaim.base.texts import hide_credentials
 from geoaim.imagery.collars import leave_out_placeholders
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
+from geoaim.imagery.remote import copy_part, is_remote, name_remote, open_remote
 from geoaim.imagery.tile_schemes import check_mbtiles, read_scheme
 from geoaim.imagery.tile_service import MAX_TILE_BYTES, Service, fetch_tiles
 from geoaim.imagery.tiles import (
@@ -309,20 +310,32 @@ def list_sources(
     return [sources] if one else list(sources)  # type: ignore[arg-type]
 
 
-def write_objects(sources: Iterable[Any], folder: Path) -> list[Any]:
-    """Write sources that are objects as GeoTIFFs; others, and datasets of plain files, stay."""
-    return [
-        _write_object(source, folder / f"source {number}.tif") if is_object(source) else source
-        for number, source in enumerate(sources, 1)
-    ]
+def fetch_parts(
+    sources: Iterable[Any], folder: Path, region: Region | None, resolution: float | None
+) -> list[Any]:
+    """Write of sources that are objects or remote what is needed as GeoTIFFs; others stay."""
+    listed = []
+    for number, source in enumerate(sources, 1):
+        own = folder / str(number)
+        own.mkdir()
+        if isinstance(source, str) and is_remote(source):
+            name = name_remote(source)
+            path = own / f"{name.removesuffix('.tif')}.tif"
+            with open_remote(source, region, resolution) as dataset:
+                copy_part(dataset, path, region, resolution, name)
+            source = str(path)
+        elif is_object(source):
+            source = _write_object(source, own / f"source {number}.tif", region, resolution)
+        listed.append(source)
+    return listed
 
 
-def _write_object(source: Any, path: Path) -> str:
+def _write_object(source: Any, path: Path, region: Region | None, resolution: float | None) -> str:
     if isinstance(source, DatasetReader | WarpedVRT):
         plain = isinstance(source, DatasetReader) and source.driver in IMAGE_DRIVERS
         if plain and os.path.isfile(source.name):
             return str(source.name)
-        rasterio.shutil.copy(source, path, driver="GTiff")
+        copy_part(source, path, region, resolution, _hide_query(hide_credentials(source.name)))
         return str(path)
     try:
         import rioxarray  # noqa: F401, which adds .rio to arrays
