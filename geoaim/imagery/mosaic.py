@@ -94,7 +94,8 @@ def read_imagery(
     - a GeoTIFF, an image with a world file, or an MBTiles file,
     - a folder or a pattern of such files,
     - a folder of tiles (`z/x/y.png` or `NAME-x-y-z.png`),
-    - the address of a tile service (`https://host/{z}/{x}/{y}.png`),
+    - the address of a tile service (`https://host/{z}/{x}/{y}.png`), of a GeoTIFF, a STAC item, a
+      WMS or a WMTS, or a VRT of files: docs/formats/imagery.md has their forms,
     - an open dataset of rasterio, or an array of xarray with a CRS in `.rio` (needs rioxarray).
 
     `Tiles` has options for tiles. Colours are averaged where a source is finer than the grid, then

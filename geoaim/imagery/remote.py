@@ -29,16 +29,14 @@ from geoaim.base.grid import Grid
 from geoaim.base.raster_files import SETTINGS
 from geoaim.base.texts import hide_credentials
 from geoaim.imagery.rasters import Raster, Region, describe_extent, measure_resolution
+from geoaim.imagery.tile_service import TIMEOUT_S, TOTAL_S
 
-TOTAL_S = 120.0  # for the part of one source; a request has REQUEST_S
-REQUEST_S = 20
 FINEST_RESOLUTION_M = 0.1  # of a service, where none is asked for
 STRIP_PX = 512  # rows that are read between two looks at the clock
 MARGIN_PX = 8  # of the needed part, for resampling at its edge
 MAX_ITEM_BYTES = 10_000_000
 MAX_WHOLE_PX = 4_000_000_000  # a dataset that is larger is no image, but a service of the Earth
 CACHE = Path("~/.cache/geoaim/gdal")
-HALF_EARTH_M = 20037508.342789244
 FILES = (".tif", ".tiff", ".jp2")
 IMAGE_TYPES = ("image/tiff", "image/jp2")
 
@@ -80,8 +78,8 @@ def open_remote(address: str, region: Region | None, resolution: float | None) -
     elif service == "wmts":
         target, driver = _name_wmts(address), "WMTS"
     settings = SETTINGS | {
-        "GDAL_HTTP_TIMEOUT": REQUEST_S,
-        "GDAL_HTTP_CONNECTTIMEOUT": REQUEST_S,
+        "GDAL_HTTP_TIMEOUT": TIMEOUT_S,
+        "GDAL_HTTP_CONNECTTIMEOUT": TIMEOUT_S,
         "GDAL_HTTP_MAX_RETRY": 2,
         "GDAL_HTTP_RETRY_DELAY": 0.5,
         "GDAL_HTTP_USERAGENT": "geoaim",
@@ -229,7 +227,7 @@ def _describe_wms(address: str, name: str, region: Region | None, resolution: fl
         f"<UpperLeftX>{west}</UpperLeftX><UpperLeftY>{north}</UpperLeftY>"
         f"<LowerRightX>{east}</LowerRightX><LowerRightY>{south}</LowerRightY>"
         f"<SizeX>{width}</SizeX><SizeY>{height}</SizeY></DataWindow><Projection>{crs}</Projection>"
-        f"<BandsCount>3</BandsCount><OverviewCount>0</OverviewCount><Timeout>{REQUEST_S}</Timeout>"
+        f"<BandsCount>3</BandsCount><OverviewCount>0</OverviewCount><Timeout>{TIMEOUT_S}</Timeout>"
         "<Cache/></GDAL_WMS>"
     )
 
@@ -238,7 +236,7 @@ def _find_asset(address: str) -> str:
     """Find the image of a STAC item: what is shown (`visual`), or else its data."""
     name = name_remote(address)
     try:
-        with urllib.request.urlopen(address, timeout=REQUEST_S) as response:
+        with urllib.request.urlopen(address, timeout=TIMEOUT_S) as response:
             item = json.loads(response.read(MAX_ITEM_BYTES))
         assets = [
             (key != "visual", "data" not in asset.get("roles", []), asset["href"])
