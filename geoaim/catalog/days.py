@@ -13,6 +13,7 @@ from geoaim.aim.rectification import change_aim_world, resample
 from geoaim.base.errors import AlignmentError
 from geoaim.base.grid import make_north_up_grid
 from geoaim.base.progress import Progress
+from geoaim.base.world import lonlat_from_world
 from geoaim.catalog.recordings import FROM_VIDEO, Recording
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.imagery.alignment.placing import parse_near, place_by_imagery
@@ -40,15 +41,15 @@ def place_day(
         return place_by_imagery(aim, recording.imagery, near=near, progress=progress)
     name, first = reference
     is_local = first.world.crs is None
-    if aim.world.crs is not None:
+    if is_local:
         near = None
-        aim = aim if is_local else change_aim_world(aim, first.world)
+    elif aim.world.crs is not None:
+        aim, near = change_aim_world(aim, first.world), None
+    elif near is None:
+        longitude, latitude = lonlat_from_world(first.world, first.corners.mean(axis=0)[None])[0]
+        near = float(latitude), float(longitude)
     placed = place_by_imagery(
-        aim,
-        first,
-        near=None if is_local else near,
-        accuracy=0.0 if is_local else None,
-        progress=progress,
+        aim, first, near=near, accuracy=0.0 if is_local else None, progress=progress
     )
     placed = change_aim_world(placed, first.world)
     position = placed.report["position"]

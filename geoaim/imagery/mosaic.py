@@ -33,14 +33,15 @@ from geoaim.imagery.rasters import (
     make_region,
     measure_resolution,
 )
+from geoaim.imagery.remote import is_remote, open_remote, outline_dataset
 from geoaim.imagery.sources import (
     ImageryObject,
     Layer,
     Source,
     describe_source,
+    fetch_parts,
     list_sources,
     number_parts,
-    write_objects,
 )
 
 BYTES_PER_PIXEL = 8  # memory for a pixel of an image and its coverage
@@ -93,7 +94,8 @@ def read_imagery(
     - a GeoTIFF, an image with a world file, or an MBTiles file,
     - a folder or a pattern of such files,
     - a folder of tiles (`z/x/y.png` or `NAME-x-y-z.png`),
-    - the address of a tile service (`https://host/{z}/{x}/{y}.png`),
+    - the address of a tile service (`https://host/{z}/{x}/{y}.png`), of a GeoTIFF, a STAC item, a
+      WMS or a WMTS, or a VRT of files: docs/formats/imagery.md has their forms,
     - an open dataset of rasterio, or an array of xarray with a CRS in `.rio` (needs rioxarray).
 
     `Tiles` has options for tiles. Colours are averaged where a source is finer than the grid, then
@@ -136,15 +138,15 @@ def read_mosaic(
 ) -> Mosaic:
     """Read imagery, and tell which part each pixel comes from."""
     with TemporaryDirectory(prefix="geoaim-") as folder:
-        listed = write_objects(list_sources(sources), Path(folder))
-        return _read_files(listed, world, corners, options)
+        _check_region(world, corners)
+        region = None if corners is None or world is None else make_region(world, corners)
+        wanted = options.get("resolution")
+        listed = fetch_parts(list_sources(sources), Path(folder), region, wanted)
+        return _read_files(listed, world, region, options)
 
 
 def _read_files(
-    listed: Sequence[Source],
-    world: World | None,
-    corners: Float[Array, "n 2"] | None,
-    options: ReadOptions,
+    listed: Sequence[Source], world: World | None, region: Region | None, options: ReadOptions
 ) -> Mosaic:
     """Read files, folders and services, with the options of `read_imagery`."""
     resolution, bands = options.get("resolution"), options.get("bands")
@@ -155,8 +157,6 @@ def _read_files(
         raise ValueError(f"resolution must be a positive number of metres, found {resolution}")
     if bands is not None and len(bands) not in (1, 3):
         raise ValueError(f"bands must be one for grey or three for RGB, found {list(bands)}")
-    _check_region(world, corners)
-    region = None if corners is None or world is None else make_region(world, corners)
     value = None if nodata == "none" else nodata
     given: dict[str, Any] = {**options, "nodata": value}
     layers = [describe_source(source, region, **given) for source in listed]
@@ -188,10 +188,17 @@ def read_lonlat(
     sources: Source | ImageryObject | Sequence[Source | ImageryObject], crs: str | None
 ) -> Float[Array, "m 2"]:
     """Read longitudes and latitudes of the outlines of imagery."""
+    listed, outlines = [], []
+    for source in list_sources(sources):
+        if isinstance(source, str) and is_remote(source):  # of which no pixel is read
+            with open_remote(source, None, None) as dataset:
+                outlines.append(outline_dataset(dataset))
+        else:
+            listed.append(source)
     with TemporaryDirectory(prefix="geoaim-") as folder:
-        listed = write_objects(list_sources(sources), Path(folder))
-        layers = [describe_source(source, None, crs=crs) for source in listed]
-    outlines = [outline for layer in layers for outline in layer.outlines]
+        files = fetch_parts(listed, Path(folder), None, None)
+        layers = [describe_source(source, None, crs=crs) for source in files]
+    outlines += [outline for layer in layers for outline in layer.outlines]
     return np.concatenate([transform_crs(own, LONLAT, points) for own, points in outlines])
 
 

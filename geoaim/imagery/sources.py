@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypeGuard, runtime_checkable
+from xml.etree import ElementTree
 
 import numpy as np
-import rasterio.shutil
+import rasterio
 from jaxtyping import Float
 from numpy import ndarray as Array
 from rasterio.enums import ColorInterp
@@ -22,6 +23,13 @@ from geoaim.base.raster_files import IMAGE_DRIVERS
 from geoaim.base.texts import hide_credentials
 from geoaim.imagery.collars import leave_out_placeholders
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
+from geoaim.imagery.remote import (
+    FINEST_RESOLUTION_M,
+    copy_part,
+    is_remote,
+    name_remote,
+    open_remote,
+)
 from geoaim.imagery.tile_schemes import check_mbtiles, read_scheme
 from geoaim.imagery.tile_service import MAX_TILE_BYTES, Service, fetch_tiles
 from geoaim.imagery.tiles import (
@@ -40,7 +48,6 @@ from geoaim.imagery.tiles import (
 )
 
 GEOTIFF_SUFFIXES = {".tif", ".tiff"}
-FINEST_RESOLUTION_M = 0.1  # of a service's tiles, where none is asked for
 ZOOMS_TRIED = 6  # zoom levels, from that resolution on, at which a service may have imagery
 Source = str | os.PathLike[str] | Tiles
 Describer = Callable[[str, Georeference | None], Raster]
@@ -106,7 +113,39 @@ def describe_source(
         if not any(sign in path for sign in "*?["):
             raise FileNotFoundError(f"{path}: no such file")
         return _describe_files(path, sorted(glob.glob(path, recursive=True)), describe)
+    if path.lower().endswith(".vrt"):
+        return _describe_files(path, _list_files_of_vrt(path), describe)
     return _describe_single(tiles, path, crs, bands, nodata)
+
+
+def _list_files_of_vrt(path: str) -> list[str]:
+    """The files that a VRT puts side by side, topmost first; GDAL would open whatever it names."""
+    with refuse_damaged(path, ImageryError, "a VRT"):
+        content = Path(path).read_bytes()
+        if b"<!ENTITY" in content or b"<!DOCTYPE" in content:
+            raise ValueError("it defines XML entities")
+        root = ElementTree.fromstring(content)
+    bands = root.findall("VRTRasterBand")
+    sources = [(band, part) for band in bands for part in band if part.tag.endswith("Source")]
+    is_plain = root.get("subClass") is None and all(
+        part.tag in ("SimpleSource", "ComplexSource")
+        and part.findtext("SourceBand", "1").split(",")[-1] == band.get("band")
+        and part.find("ScaleRatio") is None
+        and part.find("LUT") is None
+        for band, part in sources
+    )
+    folder = Path(path).resolve().parent
+    files = [(folder / part.findtext("SourceFilename", "")).resolve() for _, part in sources]
+    if not files or not all(file.is_file() and file.is_relative_to(folder) for file in files):
+        raise ImageryError(
+            f"{path} names files that do not lie beside or below it: name these files themselves"
+        )
+    if not is_plain:
+        raise ImageryError(
+            f"{path} does more than putting files side by side: write what it shows with "
+            "gdal_translate -of COG"
+        )
+    return [str(file) for file in dict.fromkeys(reversed(files))]
 
 
 def number_parts(layers: Sequence[Layer]) -> tuple[dict[str, int], tuple[str, ...]]:
@@ -309,20 +348,32 @@ def list_sources(
     return [sources] if one else list(sources)  # type: ignore[arg-type]
 
 
-def write_objects(sources: Iterable[Any], folder: Path) -> list[Any]:
-    """Write sources that are objects as GeoTIFFs; others, and datasets of plain files, stay."""
-    return [
-        _write_object(source, folder / f"source {number}.tif") if is_object(source) else source
-        for number, source in enumerate(sources, 1)
-    ]
+def fetch_parts(
+    sources: Iterable[Any], folder: Path, region: Region | None, resolution: float | None
+) -> list[Any]:
+    """Write of sources that are objects or remote what is needed as GeoTIFFs; others stay."""
+    listed = []
+    for number, source in enumerate(sources, 1):
+        own = folder / str(number)
+        own.mkdir()
+        if isinstance(source, str) and is_remote(source):
+            name = name_remote(source)
+            path = own / f"{name.removesuffix('.tif')}.tif"
+            with open_remote(source, region, resolution) as dataset:
+                copy_part(dataset, path, region, resolution, name)
+            source = str(path)
+        elif is_object(source):
+            source = _write_object(source, own / f"source {number}.tif", region, resolution)
+        listed.append(source)
+    return listed
 
 
-def _write_object(source: Any, path: Path) -> str:
+def _write_object(source: Any, path: Path, region: Region | None, resolution: float | None) -> str:
     if isinstance(source, DatasetReader | WarpedVRT):
         plain = isinstance(source, DatasetReader) and source.driver in IMAGE_DRIVERS
         if plain and os.path.isfile(source.name):
             return str(source.name)
-        rasterio.shutil.copy(source, path, driver="GTiff")
+        copy_part(source, path, region, resolution, _hide_query(hide_credentials(source.name)))
         return str(path)
     try:
         import rioxarray  # noqa: F401, which adds .rio to arrays

@@ -13,11 +13,13 @@ from numpy import ndarray as Array
 from geoaim.base.errors import ImageryError
 from geoaim.base.limits import open_sqlite, refuse_damaged
 from geoaim.base.world import LONLAT, transform_crs
-from geoaim.imagery.tiles import HALF_WORLD_M
+from geoaim.imagery.tiles import HALF_WORLD_M, compute_tile_corners, list_tiles
 
 RESOURCE = "tilemapresource.xml"  # of the Tile Map Service, as gdal2tiles writes it
 DESCRIPTIONS = ("metadata.json", "tilejson.json", "tiles.json")  # as mbutil and others write them
 MERCATOR_NAMES = ("3857", "900913", "3785", "102100", "102113", "OSGEO:41001")
+BOX_KEYS = ("minx", "miny", "maxx", "maxy")
+BOX_ORDERS = (0, 1, 2, 3), (1, 0, 3, 2)
 MAX_ORIGIN_ERROR_M = 1000.0  # of the south-west corner of web Mercator
 
 
@@ -72,12 +74,35 @@ def _read_resource(file: Path) -> bool:
             f"{file}: its tiles are of the profile {profile or 'unknown'!r} in {srs or 'no CRS'}; "
             "those of web Mercator are read: gdal2tiles --profile=mercator"
         )
+    box = root.find("BoundingBox")
+    sides = [float((box.attrib if box is not None else {}).get(key, "nan")) for key in BOX_KEYS]
+    # of the data, as gdal2tiles writes it
+    if corner and all(abs(value) <= 180 for value in (*corner, *sides)):
+        return _counts_from_south(file.parent, sides)
     if corner and max(abs(value + HALF_WORLD_M) for value in corner) > MAX_ORIGIN_ERROR_M:
         raise ImageryError(
             f"{file}: its tiles count from {corner[0]:g}, {corner[1]:g}; those that count from the "
             "south-west corner of web Mercator are read"
         )
     return True
+
+
+def _counts_from_south(folder: Path, sides: list[float]) -> bool:
+    """Whether tiles lie in a box of degrees if y counts from the south; --xyz writes the other."""
+    tiles = np.array([tile[:3] for tile in list_tiles(folder, tms=True)]).reshape(-1, 3)
+    if not len(tiles):
+        return True
+    level = tiles[tiles[:, 0] == tiles[:, 0].max()]
+    corners = compute_tile_corners(
+        level[0, 0], level[:, 1:].min(axis=0), level[:, 1:].max(axis=0) + 1
+    )
+    # old versions exchanged longitude and latitude
+    boxes = [_parse_bounds(",".join(str(sides[i]) for i in order)) for order in BOX_ORDERS]
+    fits, fits_flipped = (
+        any(box is not None and _overlap(box, shape) > MIN_BOUNDS_OVERLAP for box in boxes)
+        for shape in (corners, corners * [1.0, -1.0])
+    )
+    return fits or not fits_flipped
 
 
 MIN_BOUNDS_OVERLAP = 0.5  # share of the tiles' extent that lies within the bounds stated

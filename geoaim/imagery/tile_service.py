@@ -6,6 +6,7 @@ import time
 import urllib.request
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from http.client import HTTPException, HTTPMessage
@@ -21,7 +22,8 @@ from geoaim.base.texts import hide_credentials
 from geoaim.imagery.tiles import make_quadkey
 
 CONNECTIONS = 4
-TIMEOUT_S = 20
+TIMEOUT_S = 20  # for one tile
+TOTAL_S = 120.0  # for all that is needed of one source
 RETRIES = 2  # how often a failed request is repeated
 MAX_AGE_S = 30 * 24 * 3600.0  # older tiles in the cache are fetched again
 MAX_TILE_BYTES = 20_000_000
@@ -71,15 +73,22 @@ def fetch_tiles(
     key = hashlib.sha256(service.address.encode()).hexdigest()[:16]
     folder = service.cache.expanduser() / key
     for old in folder.rglob("*.tile"):
-        if time.time() - old.stat().st_mtime > MAX_AGE_S:
-            old.unlink()
+        with suppress(FileNotFoundError):  # another process may remove it too
+            if time.time() - old.stat().st_mtime > MAX_AGE_S:
+                old.unlink()
     paths = [folder / f"{zoom}/{x}/{y}.tile" for x, y in numbers]
     wanted = [item for item in zip(numbers, paths, strict=True) if not item[1].exists()]
     with ThreadPoolExecutor(CONNECTIONS) as threads:
         urls = [_make_url(service.address, zoom, *number) for number, _ in wanted]
         contents = threads.map(partial(_request, service), urls)
         try:
-            for (_, path), content in zip(wanted, contents, strict=True):
+            end = time.monotonic() + TOTAL_S
+            for done, ((_, path), content) in enumerate(zip(wanted, contents, strict=True)):
+                if time.monotonic() > end:
+                    raise ImageryError(
+                        f"{service.name} took over {TOTAL_S:.0f} s for {done} of {len(wanted)} "
+                        "tiles, which are kept: ask again, or for a coarser zoom"
+                    )
                 if content:
                     with atomic_write(path, shared=True) as temporary:
                         temporary.write_bytes(content)

@@ -92,3 +92,32 @@ def test_mbtiles_whose_rows_count_from_the_north_are_refused(tmp_path):
     set_metadata(path, bounds="", scheme="xyz")
     with pytest.raises(ImageryError, match=r"rows count from the north .its scheme is xyz"):
         read_imagery(path, world=WORLD, corners=BOX, resolution=1.0)
+
+
+VRT_PART = (
+    '<{kind}><SourceFilename relativeToVRT="1">{file}</SourceFilename>'
+    "<SourceBand>{band}</SourceBand></{kind}>"
+)
+
+
+def write_vrt(path, *files, kind="SimpleSource"):
+    bands = "".join(
+        f'<VRTRasterBand dataType="Byte" band="{band}">'
+        + "".join(VRT_PART.format(kind=kind, file=file, band=band) for file in files)
+        + "</VRTRasterBand>"
+        for band in (1, 2, 3)
+    )
+    path.write_text(f'<VRTDataset rasterXSize="640" rasterYSize="320">{bands}</VRTDataset>')
+    return path
+
+
+def test_a_vrt_of_files_beside_it_is_read_and_no_other(tmp_path):
+    (tmp_path / "maps").mkdir()
+    ortho(tmp_path / "maps/a.tif")
+    path = write_vrt(tmp_path / "all.vrt", "maps/a.tif")
+    area = {"world": WORLD, "corners": BOX, "resolution": 0.5}
+    assert misplaced(read_imagery(path, **area), 15.0) < 0.05
+    with pytest.raises(ImageryError, match="name these files themselves"):
+        read_imagery(write_vrt(tmp_path / "maps/up.vrt", "../maps/../all.vrt"), **area)
+    with pytest.raises(ImageryError, match="does more than putting files side by side"):
+        read_imagery(write_vrt(path, "maps/a.tif", kind="KernelFilteredSource"), **area)

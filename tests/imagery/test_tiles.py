@@ -285,6 +285,23 @@ def test_a_folder_says_that_y_counts_from_the_south(tmp_path):
     assert misplaced(read_imagery(folder, **area), 15.0) < 0.02
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (1, 0, 3, 2)])  # of old versions, the latter
+@pytest.mark.parametrize("rows", ["tms", "y"])
+def test_folders_are_read_as_gdal2tiles_writes_them(tmp_path, rows, order):
+    folder = write_tiles(tmp_path / "t", 17, f"{{z}}/{{x}}/{{{rows}}}.png")
+    mercator = [tile_place(*tile) @ [[0, 256], [256, 0], [1, 1]] for tile in tiles_here(17)]
+    places = np.concatenate([place[:2].T for place in mercator])
+    lonlat = transform_crs("EPSG:3857", "EPSG:4326", places)
+    west, south, east, north = np.take([*lonlat.min(axis=0), *lonlat.max(axis=0)], order)
+    (folder / "tilemapresource.xml").write_text(
+        '<TileMap version="1.0.0" tilemapservice="http://tms.osgeo.org/1.0.0"><SRS>EPSG:3857</SRS>'
+        f'<BoundingBox minx="{west}" miny="{south}" maxx="{east}" maxy="{north}"/>'
+        f'<Origin x="{west}" y="{south}"/><TileSets profile="mercator"/></TileMap>'
+    )
+    aim = read_imagery(folder, world=WORLD, corners=BOX, resolution=1.0)
+    assert misplaced(aim, 15.0) < 0.02
+
+
 @pytest.mark.parametrize(
     ("srs", "profile"), [("EPSG:4326", "geodetic"), ("EPSG:3857", "raster"), ("EPSG:2154", "")]
 )

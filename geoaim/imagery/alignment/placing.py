@@ -55,8 +55,8 @@ def place_by_imagery(
         aim: the map, by telemetry; or of about the right scale in a local plane, with `near`.
         imagery: what `read_imagery` takes, or an AIM.
         near: latitude and longitude of about the map's middle, degrees, to within 35 m; the
-            direction of north may then be any. None: where the map lies, or, if it or an AIM as
-            imagery is in a local plane, about the middle of that AIM.
+            direction of north may then be any. None: where the map lies, or, if the
+            imagery is an AIM in a local plane, about the middle of that AIM.
         accuracy: standard deviation of the imagery's own place, metres; with 0 it counts as right.
             None: as the report of an AIM states it, else 2.5 m, of web tiles 4.8 m.
         progress: called with the stage, how much is done and how much there is.
@@ -162,10 +162,10 @@ def _move_near(
         lonlat = np.array([[near[1], near[0]]])
         world = choose_world(lonlat)
         there = world_from_lonlat(world, lonlat)[0]
-    elif aim.world.crs is not None and (reference is None or reference.world.crs is not None):
-        return aim, BY_TELEMETRY
-    elif reference is not None:  # of the same place, so that their middles lie close
+    elif reference is not None and reference.world.crs is None:  # their middles lie close then
         world, there = reference.world, reference.corners.mean(axis=0)
+    elif aim.world.crs is not None:
+        return aim, BY_TELEMETRY
     else:
         raise ValueError(
             "the map has no place in the world; give near=(latitude, longitude) (--near)"
