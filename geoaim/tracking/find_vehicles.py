@@ -150,7 +150,7 @@ class _Ground:
         even[~known] = EVEN
         parts = cv2.split(cv2.LUT(even, np.abs(np.arange(256) - EVEN).astype(np.uint8)))
         largest = cv2.max(cv2.max(parts[0], parts[1]), parts[2])
-        typical = 1 + (np.median(largest[::4, ::4][seen]) if seen.any() else 0)
+        typical = 1 + (float(np.median(largest[::4, ::4][seen])) if seen.any() else 0.0)
         return even, known * (1 + largest.astype(np.float32)) / typical
 
 

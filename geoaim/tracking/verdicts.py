@@ -82,13 +82,9 @@ def judge_scale(aim: AIM, tracks: Tracks | None) -> Verdict:
 def judge_tracks(
     interval: float, unused: float, certainty: float | None, warnings: Sequence[str]
 ) -> Verdict:
-    """Judge tracks by how often frames come, how many may be false, and by what was warned of.
+    """Judge tracks by the seconds between frames, the share of unused boxes, and warnings.
 
-    Args:
-        interval: time between frames, s.
-        unused: share of the boxes that are in no track.
-        certainty: share of the tracks that are expected to be right; None: boxes were given.
-        warnings: of the tracking.
+    `certainty` is the share of tracks that are expected to be right; None: boxes were given.
     """
     text = f"frames are {interval:.2g} s apart"
     if interval > MAX_GAP_S and certainty is not None:
