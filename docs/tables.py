@@ -331,6 +331,7 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "birdview": write_birdview,
     "tracking_hard": write_tracking_hard,
     "without_detector": write_without_detector,
+    "real_cars": write_without_detector,
     "models_without_detector": write_models_without_detector,
     "georeference": write_georeference,
     "georeference_sizes": write_sizes,

@@ -85,8 +85,9 @@ class PlacedVideo:
         known: what is known and how surely, by name.
         missing: what is not, by what it would be needed for, with the command that helps.
         verdicts: how far the map, its scale and the tracks can be used, and by what that is judged.
-        shares: of the boxes that are in no track, and of the vehicles' states that predictions can
-            start from; with the registration in metres.
+        shares: of the boxes that are in no track, of the vehicles' states that predictions can
+            start from, and of the tracks that are expected to be right; with the registration in
+            metres.
         warnings: every warning on the way.
     """
 
@@ -187,7 +188,7 @@ def _place(
     placed = _report(aim, tracks, evidence, reason)
     if lights is not None:
         placed.known.update({f"lights: {k}": v for k, v in lights.summarize().items()})
-    placed = _judge(placed, followed, evidence, (of_map, of_tracks))
+    placed = _judge(placed, followed, (of_map, of_tracks))
     _write_report(placed, video, folder / REPORT_FILE)
     return placed
 
@@ -195,11 +196,10 @@ def _place(
 def _judge(
     placed: PlacedVideo,
     followed: FollowedVideo | None,
-    evidence: Evidence,
     warnings: tuple[tuple[str, ...], tuple[str, ...]],
 ) -> PlacedVideo:
     """Add verdicts by what is measured and by the warnings of the map and of the tracks."""
-    aim, given = placed.aim, evidence.detections is not None
+    aim = placed.aim
     verdicts = {
         "map": judge_map(aim, warnings[0]),
         "scale": judge_scale(aim, placed.tracks),
@@ -208,9 +208,12 @@ def _judge(
     shares = {"registration_m": measure_registration(aim)}
     if followed is not None:
         interval = float(np.median(np.diff(followed.poses.times)))
-        judged = judge_tracks(interval, followed.unused, warnings[1], boxes_given=given)
+        judged = judge_tracks(interval, followed.unused, followed.certainty, warnings[1])
+        if verdicts["map"].grade == "unusable":
+            judged = Verdict("unusable", ("the map that they lie on is", *judged.by))
         verdicts["tracks"] = judged
         shares |= {"unused_boxes": followed.unused, "observed": measure_observed(followed.tracks)}
+        shares["expected_right"] = followed.certainty
     rounded = {name: round(value, 4) for name, value in shares.items() if value is not None}
     known = {f"verdict: {name}": str(verdict) for name, verdict in verdicts.items()}
     return replace(

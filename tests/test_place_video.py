@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -21,6 +22,7 @@ from geoaim.base.world import World
 from geoaim.cli import app
 from geoaim.cli.inputs import find_video
 from geoaim.mapping.video.video import open_video
+from geoaim.tracking.pipeline import FollowedVideo
 from geoaim.tracking.scale import check_scale
 from geoaim.tracking.verdicts import judge_map, judge_scale, judge_tracks
 from tests.geojson_files import write_features
@@ -109,15 +111,23 @@ def test_the_film_shows_the_boxes_on_the_video_too(video, junction):
 
 def test_what_cannot_be_used_is_said(junction):
     result = junction[1]
-    rare = judge_tracks(8.0, 0.0, (), boxes_given=False)
+    rare = judge_tracks(8.0, 0.0, 0.95, ())
     assert rare.grade == "unusable"
     assert "8 s apart" in str(rare)
-    assert judge_tracks(8.0, 0.0, (), boxes_given=True).grade == "doubtful"
-    assert judge_tracks(0.08, 0.0, (), boxes_given=False).grade == "good"
-    assert "70%" in str(judge_tracks(0.08, 0.7, (), boxes_given=False))
+    assert judge_tracks(8.0, 0.0, None, ()).grade == "doubtful"
+    assert judge_tracks(0.08, 0.0, 0.95, ()).grade == "good"
+    unsure = judge_tracks(0.08, 0.0, 0.78, ())
+    assert (unsure.grade, "78% of the tracks" in str(unsure)) == ("doubtful", True)
+    assert "70%" in str(judge_tracks(0.08, 0.7, None, ()))
     registration = {**result.aim.report["registration"], "uncertainty_px": 5.0}
     shaken = replace(result.aim, report={**result.aim.report, "registration": registration})
     assert judge_map(shaken, ()).grade == "unusable"
+    followed = FollowedVideo(result.tracks, SimpleNamespace(times=np.arange(9.0) / 9), 0.0, 0.95)
+    grades = []
+    for aim in (result.aim, shaken):
+        judged = pipeline._judge(replace(result, aim=aim), followed, ((), ()))
+        grades.append(judged.verdicts["tracks"].grade)
+    assert grades == ["good", "unusable"]
     assert judge_map(result.aim, ("contested",)).grade == "doubtful"
     small = replace(result.tracks, sizes=result.tracks.sizes / 8)
     assert judge_scale(result.aim, small).grade == "unusable"

@@ -217,21 +217,27 @@ def keep_certain(
     Raises:
         TracksError: none is.
     """
+    certain = measure_certainty(detections, tracklets) > MIN_CERTAINTY
+    if not certain.any():
+        raise TracksError(
+            f"{len(certain)} things are followed that may be vehicles, none of them more probably "
+            "than not; give boxes (--detections), or check the scale"
+        )
+    member = np.flatnonzero(tracklets.track >= 0)
+    rows = member[certain[tracklets.track[member]]]
+    number = np.cumsum(certain) - 1
+    chosen = select_detections(detections, rows)
+    return replace(chosen, roof_sigma=chosen.roof_sigma + MIDDLE_SIGMA_M), Tracklets(
+        number[tracklets.track[rows]], tracklets.confirmed[certain], tracklets.sigma[rows]
+    )
+
+
+def measure_certainty(detections: GroundDetections, tracklets: Tracklets) -> Float[Array, " N"]:
+    """Measure the mean probability of each track; 0 counts for the frames without its box."""
     count, member = len(tracklets.confirmed), tracklets.track >= 0
     track, step = tracklets.track[member], detections.step[member]
     first, last, total = np.full(count, step.max(initial=0)), np.zeros(count, int), np.zeros(count)
     np.minimum.at(first, track, step)
     np.maximum.at(last, track, step)
     np.add.at(total, track, detections.score[member])
-    certain = total > MIN_CERTAINTY * (last - first + 1)
-    if not certain.any():
-        raise TracksError(
-            f"{count} things are followed that may be vehicles, none of them more probably than "
-            "not; give boxes (--detections), or check the scale"
-        )
-    rows = np.flatnonzero(member)[certain[track]]
-    number = np.cumsum(certain) - 1
-    chosen = select_detections(detections, rows)
-    return replace(chosen, roof_sigma=chosen.roof_sigma + MIDDLE_SIGMA_M), Tracklets(
-        number[tracklets.track[rows]], tracklets.confirmed[certain], tracklets.sigma[rows]
-    )
+    return np.asarray(total / (last - first + 1))

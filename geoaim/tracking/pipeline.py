@@ -20,7 +20,7 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.tracking.association import MIN_HITS, MIN_START_SCORE, Tracklets, associate
 from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_boxes
-from geoaim.tracking.find_vehicles import keep_certain, search_frames
+from geoaim.tracking.find_vehicles import keep_certain, measure_certainty, search_frames
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_detections import GroundDetections, place_boxes, select_detections
 from geoaim.tracking.roofs import correct_roofs
@@ -45,11 +45,13 @@ class FollowedVideo:
         tracks: a state for each frame in which an agent is there.
         poses: where the frames lie, in the order of the tracks' times.
         unused: share of the given boxes that are in no track; 0 where none are given.
+        certainty: share of the tracks that the network expects to be right; None: boxes are given.
     """
 
     tracks: Tracks
     poses: FramePoses
     unused: float
+    certainty: float | None = None
 
 
 def track_video(
@@ -119,7 +121,7 @@ def follow_video(
     check_tracks(tracks)
     if detections is None:
         check_scale(tracks, aim)
-        return FollowedVideo(tracks, poses, 0.0)
+        return FollowedVideo(tracks, poses, 0.0, float(measure_certainty(*followed).mean()))
     count = sum(len(boxes.boxes) for boxes in known if boxes is not None)
     return FollowedVideo(tracks, poses, 1 - len(followed[0].step) / max(count, 1))
 

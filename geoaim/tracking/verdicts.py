@@ -14,6 +14,11 @@ from geoaim.tracking.pipeline import MAX_UNUSED
 from geoaim.tracking.scale import measure_scale_error
 from geoaim.tracks.tracks import Tracks
 
+# share of tracks that the network expects to be right: 0.90 to 0.97 on videos of four places with
+# vehicles, at 0.05 m a pixel; 0.76 at 0.4 m, where hedges and shadows are among them; 0.74 to 0.81
+# of people alone, of empty ground, and by night
+MIN_CERTAINTY = 0.85
+
 Grade = Literal["good", "doubtful", "unusable"]
 
 
@@ -75,11 +80,14 @@ def judge_scale(aim: AIM, tracks: Tracks | None) -> Verdict:
 
 
 def judge_tracks(
-    interval: float, unused: float, warnings: Sequence[str], *, boxes_given: bool
+    interval: float, unused: float, certainty: float | None, warnings: Sequence[str]
 ) -> Verdict:
-    """Judge tracks by the seconds between frames, the share of unused boxes, and warnings."""
+    """Judge tracks by the seconds between frames, the share of unused boxes, and warnings.
+
+    `certainty` is the share of tracks that are expected to be right; None: boxes were given.
+    """
     text = f"frames are {interval:.2g} s apart"
-    if interval > MAX_GAP_S and not boxes_given:
+    if interval > MAX_GAP_S and certainty is not None:
         lost = f"what is not seen for {MAX_GAP_S} s is lost, so that tracks join what is not one"
         return Verdict("unusable", (f"{text}: {lost}", *warnings))
     doubts = list(warnings)
@@ -87,5 +95,9 @@ def judge_tracks(
         doubts.append(f"{text}: agents that turn or brake between them may be mistaken")
     if unused > MAX_UNUSED:
         doubts.append(f"{unused:.0%} of the boxes are in no track")
-    by = f"{1 - unused:.0%} of the boxes are in tracks" if boxes_given else "no warning"
+    by = f"{1 - unused:.0%} of the boxes are in tracks"
+    if certainty is not None:
+        by = f"{certainty:.0%} of the tracks are expected to be of vehicles"
+        if certainty < MIN_CERTAINTY:
+            doubts.append(f"only {by}: the network is unsure in this light, at this scale")
     return Verdict("doubtful", tuple(doubts)) if doubts else Verdict("good", (by,))

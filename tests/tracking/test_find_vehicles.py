@@ -18,7 +18,13 @@ from geoaim.detection.network import Peaks
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.association import Tracklets
-from geoaim.tracking.find_vehicles import _choose, _weigh, keep_certain, search_frames
+from geoaim.tracking.find_vehicles import (
+    _choose,
+    _weigh,
+    keep_certain,
+    measure_certainty,
+    search_frames,
+)
 from geoaim.tracking.frame_poses import locate_frames
 from geoaim.tracking.ground_detections import place_boxes
 
@@ -141,6 +147,7 @@ def test_tracks_that_are_more_probably_wrong_are_dropped():
     detections = place_boxes(frames, matrices, (100, 100))
     track = (detections.position[:, 0] > 8).astype(int)
     tracklets = Tracklets(track, np.array([4, 4]), np.full(len(track), 0.1))
+    np.testing.assert_allclose(measure_certainty(detections, tracklets), [0.6, 0.4])
     kept, chosen = keep_certain(detections, tracklets)
     assert set(kept.position[:, 0]) == {4.5}
     assert (len(kept.step), chosen.track.tolist(), chosen.confirmed.tolist()) == (4, [0] * 4, [4])
