@@ -216,7 +216,7 @@ def _find_crossings(  # noqa: PLR0913  (as above)
     entry = torch.where(inside, times, torch.inf).amin(dim=2)  # when the other one gets there
     own = torch.where(inside, arrival, torch.inf).amin(dim=2)
     across = wrap_angle(others[..., 2] - pose[:, None, 2]).cos().abs() < ALONG_COSINE
-    across |= turn.cos().amin(dim=2) < ALONG_COSINE
+    across |= turn.cos().abs().amin(dim=2) < ALONG_COSINE
     moves = others[..., 3].abs() > MIN_SPEED_MPS
     yields = there & moves & across & meets.any(dim=2) & (entry < own) & (own > 0)
     gap = torch.where(inside, along - reach, torch.inf).amin(dim=2)
