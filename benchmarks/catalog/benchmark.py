@@ -26,7 +26,7 @@ from benchmarks.results import (
 from benchmarks.synthetic.camera import Hover, SpriteTracks, film, render_frames
 from geoaim.base.encode import write_video
 from geoaim.catalog import Catalog, Cluster, build_catalog, read_recordings
-from geoaim.catalog.pipeline import plan_run
+from geoaim.catalog.pipeline import list_all_inputs, make_plan
 from geoaim.catalog.storage import hash_file, make_address
 
 BAD = 3  # planted recordings that give no map
@@ -105,9 +105,10 @@ def measure_rows(folder: Path, count: int) -> Row:
     (folder / "recordings.csv").write_text(f"video\n{names}\n")
     start = time.perf_counter()
     recordings = read_recordings(folder / "recordings.csv")
-    plan = plan_run(recordings, make_address(folder / "maps"), {}, {})
+    inputs, _ = list_all_inputs(recordings, {})
+    tasks = make_plan(recordings, inputs, make_address(folder / "maps")).list_ready({}, {})
     listed = time.perf_counter()
-    for task in plan.tasks:
+    for task in tasks:
         hash_file(Path(task.inputs[0].address))
     hashed = time.perf_counter()
     first: list[float] = []

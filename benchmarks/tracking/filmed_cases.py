@@ -13,7 +13,7 @@ from benchmarks.synthetic.place import world_from_image
 from benchmarks.synthetic.roads.layouts import PlaceKind
 from benchmarks.synthetic.sample import HOVER, MARGIN, VIDEOS, make_sample
 from benchmarks.synthetic.traffic.interpolation import interpolate_tracks
-from benchmarks.tracking.real_cars import PLACE, RESOLUTION, film_junction
+from benchmarks.tracking.real_cars import JUNCTIONS, film_junction
 from geoaim.aim.aim import AIM
 from geoaim.base.encode import write_video
 from geoaim.base.geometry import transform_points
@@ -91,10 +91,12 @@ def film_still(still: str, kind: Kind, seed: int, folder: Path, *, count: int) -
     return _film_cars(f"{still} {kind}", clip, STILL_RESOLUTIONS[still], folder)
 
 
-def film_real_cars(condition: str, seed: int, folder: Path, *, count: int) -> FilmedCase:
+def film_real_cars(
+    place: str, condition: str, seed: int, folder: Path, *, count: int
+) -> FilmedCase:
     """Film a real junction with its own cars, and build its map; see `film_junction`."""
-    clip = film_junction(condition, seed, count=count)
-    return _film_cars(f"{PLACE} {condition}", clip, RESOLUTION, folder)
+    clip = film_junction(place, condition, seed, count=count)
+    return _film_cars(f"{place} {condition}", clip, JUNCTIONS[place].resolution, folder)
 
 
 def _film_cars(name: str, clip: HoverClip, resolution: float, folder: Path) -> FilmedCase:

@@ -4,9 +4,10 @@
     python -m benchmarks.tracking.without_detector --real-cars --json docs/bench/real_cars.json
 
 Drawn places with shadows, and (with GEOAIM_DATA) two stills of Songdo with real cars on them, of
-which one has also trained the network; or a junction in Minsk, which has not. The videos are
-encoded, and the maps built of them. Vehicles that move and that stand at a time are judged, in
-the frames that are searched; cars that are drawn with the ground, and people (7 px wide), are not.
+which one has also trained the network; or two junctions in Minsk with their own cars, which have
+not, and on one of which nothing was chosen. The videos are encoded, and the maps built of them.
+Vehicles that move and that stand at a time are judged, in the frames that are searched; cars that
+are drawn with the ground, and people (7 px wide), are not.
 TrackEval judges identities: `pip install trackeval`.
 """
 
@@ -28,7 +29,7 @@ from benchmarks.results import JsonFile, print_rows, write_rows
 from benchmarks.stills import STILLS
 from benchmarks.tracking.benchmark import KINDS, TEST_SEED, VALIDATION_SEED
 from benchmarks.tracking.filmed_cases import FilmedCase, film_drawn, film_real_cars, film_still
-from benchmarks.tracking.real_cars import CONDITIONS
+from benchmarks.tracking.real_cars import CONDITIONS, JUNCTIONS
 from benchmarks.tracking.scores import BoxView, compute_iou, make_view, match_frames, score_tracks
 from geoaim.base.errors import GeoaimError
 from geoaim.base.geometry import transform_points
@@ -147,15 +148,16 @@ def make_cases(seed: int, folder: Path) -> Iterator[FilmedCase]:
 
 
 def film_conditions(seed: int, folder: Path) -> Iterator[FilmedCase]:
-    """Film a real junction with its own cars under all `CONDITIONS`."""
-    for condition in CONDITIONS:
-        yield film_real_cars(condition, seed, folder, count=REAL_FRAMES)
+    """Film real junctions with their own cars under all `CONDITIONS`."""
+    for place in list(JUNCTIONS)[: 1 if seed == VALIDATION_SEED else None]:
+        for condition in CONDITIONS:
+            yield film_real_cars(place, condition, seed, folder, count=REAL_FRAMES)
 
 
 def main(
     json: JsonFile = None,
     validation: Annotated[bool, typer.Option(help="the validation videos")] = False,
-    real_cars: Annotated[bool, typer.Option(help="a real junction with its own cars")] = False,
+    real_cars: Annotated[bool, typer.Option(help="real junctions with their own cars")] = False,
 ) -> None:
     """Measure vehicles found without boxes."""
     cv2.setNumThreads(1)

@@ -15,10 +15,19 @@ import cv2
 import numpy as np
 
 from geoaim.aim.aim import AIM
-from geoaim.base.errors import AimError, CatalogError, GeoaimError, GeoaimWarning
+from geoaim.aim.files import read_aim
+from geoaim.base.errors import (
+    AimError,
+    CatalogError,
+    GeoaimError,
+    GeoaimWarning,
+    GeoreferenceError,
+    warn,
+)
 from geoaim.base.geometry import translation
 from geoaim.base.progress import Progress, no_progress
 from geoaim.base.world import lonlat_from_world
+from geoaim.catalog.days import collect_tracks, draw_changes, place_day
 from geoaim.catalog.recordings import (
     VERSION,
     InputFile,
@@ -27,10 +36,11 @@ from geoaim.catalog.recordings import (
     fetch_inputs,
 )
 from geoaim.catalog.records import (
+    CHANGES,
     ITEM,
-    LOOK,
     MAP,
     RECORD,
+    TRACKS,
     OutputFile,
     Record,
     Status,
@@ -51,8 +61,10 @@ from geoaim.catalog.storage import (
     upload,
     write_file,
 )
-from geoaim.mapping.build_map import build_map
+from geoaim.detection.scale import FRAMES, propose_scale
+from geoaim.mapping.build_map import MapSettings, build_map
 from geoaim.mapping.video.video import IMAGE_SUFFIXES, open_video
+from geoaim.tracks.files import write_tracks
 
 # one build at a time in a process, since caught warnings and OpenCV's threads belong to all of it
 ONE_AT_A_TIME = Lock()
@@ -66,16 +78,21 @@ class Task:
         recording: the recording.
         inputs: its files.
         folder: address of its folder in the catalogue.
+        reference: name of the first day of its place, whose map is among the inputs; empty: it is
+            the first, or for itself.
     """
 
     recording: Recording
     inputs: tuple[InputFile, ...]
     folder: str
+    reference: str = ""
 
 
-def make_task(recording: Recording, inputs: Sequence[InputFile], catalog: str) -> Task:
+def make_task(
+    recording: Recording, inputs: Sequence[InputFile], catalog: str, reference: str = ""
+) -> Task:
     """Make the task of a recording."""
-    return Task(recording, tuple(inputs), get_folder(catalog, recording.name))
+    return Task(recording, tuple(inputs), get_folder(catalog, recording.name), reference)
 
 
 def build_recording(
@@ -87,7 +104,7 @@ def build_recording(
         try:
             local, paths = fetch_inputs(task.recording, task.inputs, Path(folder))
             hashes = [hash_file(path) for path in paths]
-            content_hash = compute_content_hash(task.inputs, hashes, task.recording.settings)
+            content_hash = compute_content_hash(task.inputs, hashes, task.recording)
             record = replace(record, content_hash=content_hash, input_hashes=tuple(hashes))
             earlier = _find_earlier(task, content_hash)
             if earlier is not None:
@@ -96,7 +113,10 @@ def build_recording(
                 stated, video = task.recording.datetime, task.inputs[0].address
                 when, source = find_datetime(stated, video, paths[0])
                 record = replace(record, datetime=when, datetime_source=source)
-                record = _build(record, local, Path(folder), progress)
+                by_role = dict(zip((file.role for file in task.inputs), paths, strict=True))
+                first = by_role.get("reference")
+                reference = None if first is None else (task.reference, read_aim(first))
+                record = _build(record, local, reference, Path(folder), progress)
                 record = _upload_map(record, Path(folder), task.folder)
             if record != earlier:
                 write_record(record, task.folder)
@@ -121,33 +141,40 @@ def make_record(
         reason,
         VERSION,
         recording.settings,
+        recording.list_choices(),
         inputs=tuple(inputs),
         started=started,
     )
 
 
-def _build(record: Record, local: Recording, folder: Path, progress: Progress) -> Record:
-    """Write map and quick look into a folder; refuse data that give none."""
+def _build(
+    record: Record,
+    local: Recording,
+    reference: tuple[str, AIM] | None,
+    folder: Path,
+    progress: Progress,
+) -> Record:
+    """Write map, quick look and tracks into a folder; refuse data that give no map."""
     cv2.setNumThreads(1)  # other workers use the other cores
     start, processor_start = time.perf_counter(), time.process_time()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", GeoaimWarning)
         try:
-            aim = build_map(
-                open_video(local.video, threads=1),
-                folder / MAP,
-                gcps=None if local.gcps is None else Path(local.gcps),
-                detections=None if local.detections is None else Path(local.detections),
-                settings=record.settings,
-                progress=progress,
-            )
-            record = replace(record, status="built", report=aim.report, grid=describe_grid(aim))
+            aim = _build_map(local, reference, folder, progress)
+            report = dict(aim.report)
+            if reference is not None:
+                picture, report["changed_share"] = draw_changes(aim, reference[1])
+                (folder / CHANGES).write_bytes(
+                    cv2.imencode(".jpg", picture[..., ::-1])[1].tobytes()
+                )
+            record = replace(record, status="built", report=report, grid=describe_grid(aim))
+            _write_tracks(local, aim, folder / TRACKS, progress)
         except (GeoaimError, ValueError) as error:
             if _is_of_machine(error):
                 raise
             record = replace(record, status="refused", reason=str(error))
     messages = [str(warning.message) for warning in caught]
-    files = [] if record.status == "refused" else [folder / MAP, folder / LOOK]
+    files = [] if record.status == "refused" else sorted(folder.glob("*.*"))
     return replace(
         record,
         warnings=tuple(dict.fromkeys(messages)),
@@ -155,6 +182,44 @@ def _build(record: Record, local: Recording, folder: Path, progress: Progress) -
         seconds=round(time.perf_counter() - start, 3),
         processor_seconds=round(time.process_time() - processor_start, 3),
     )
+
+
+def _build_map(
+    local: Recording, reference: tuple[str, AIM] | None, folder: Path, progress: Progress
+) -> AIM:
+    """Build a map in its place; where only imagery or another day places it, by cars' scale."""
+    video = open_video(local.video, threads=1)
+
+    def build(settings: MapSettings) -> AIM:
+        return build_map(
+            video,
+            folder / MAP,
+            gcps=None if local.gcps is None else Path(local.gcps),
+            detections=None if local.detections is None else Path(local.detections),
+            settings=settings,
+            place=lambda aim: place_day(aim, local, reference, progress),
+            progress=progress,
+        )
+
+    try:
+        return build(local.settings)
+    except GeoreferenceError:
+        if local.gcps is not None or (local.imagery is None and reference is None):
+            raise
+    scale = propose_scale([frame.image for frame in video.sample(FRAMES)], progress=progress)
+    return build(replace(local.settings, frame_resolution=scale.resolution))
+
+
+def _write_tracks(local: Recording, aim: AIM, path: Path, progress: Progress) -> None:
+    """Write the tracks of a recording; that there are none takes no map away."""
+    try:
+        tracks = collect_tracks(local, aim, progress)
+        if tracks is not None:
+            write_tracks(tracks, path)
+    except (GeoaimError, ValueError, FileNotFoundError) as error:
+        if _is_of_machine(error):
+            raise
+        warn(f"it has no tracks: {error}")
 
 
 def _is_of_machine(error: Exception) -> bool:

@@ -1,6 +1,9 @@
 """Run the tasks of a catalogue on workers by Dask, through losses of workers and scheduler."""
 
+import ast
+import inspect
 import logging
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
@@ -88,6 +91,7 @@ def _start_workers(cluster: Cluster) -> Iterator[Any]:
     if cluster.scheduler is not None:
         yield cluster.scheduler
         return
+    _check_main_guard()
     try:
         if cluster.memory_limit != "auto":
             dask.utils.parse_bytes(cluster.memory_limit)
@@ -103,6 +107,28 @@ def _start_workers(cluster: Cluster) -> Iterator[Any]:
         silence_logs=logging.CRITICAL,  # losses of workers are in the records
     ) as local:
         yield local
+
+
+def _check_main_guard() -> None:
+    """Refuse a script that calls without a guard: each worker imports it, and would call again."""
+    path = getattr(sys.modules["__main__"], "__file__", None)
+    frame = inspect.currentframe()
+    while frame is not None and frame.f_back is not None:
+        frame = frame.f_back
+    if (
+        frame is None
+        or path is None
+        or frame.f_code.co_filename != path
+        or frame.f_code.co_name != "<module>"
+    ):
+        return
+    for part in ast.parse(Path(path).read_bytes()).body:
+        is_called = part.lineno <= frame.f_lineno <= (part.end_lineno or part.lineno)
+        if is_called and not (isinstance(part, ast.If) and "__name__" in ast.dump(part.test)):
+            raise CatalogError(
+                f"{path}, line {frame.f_lineno}, is run by each worker too, since workers are "
+                'processes: put it below `if __name__ == "__main__":`'
+            )
 
 
 @contextmanager

@@ -2,15 +2,16 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from os import PathLike
 
 from geoaim.base.errors import CatalogError, warn
 from geoaim.catalog.building import Task, make_record, make_task
 from geoaim.catalog.engine import Cluster, RecordingProgress, run_tasks
-from geoaim.catalog.recordings import Recording, list_inputs, read_recordings
+from geoaim.catalog.recordings import InputFile, Recording, list_inputs, read_recordings
 from geoaim.catalog.records import (
+    MAP,
     Record,
     check_records,
     get_folder,
@@ -21,39 +22,111 @@ from geoaim.catalog.records import (
 from geoaim.catalog.storage import StoredFile, check_output, list_folder, make_address
 from geoaim.catalog.verification import find_listing_problems, write_listing
 
-
-@dataclass(frozen=True)
-class RunPlan:
-    """What a run has to do."""
-
-    tasks: Sequence[Task] = ()
-    unlisted: Sequence[Record] = ()
+Inputs = dict[str, tuple[InputFile, ...]]  # of recordings, by name
 
 
-def plan_run(
-    recordings: Sequence[Recording],
-    address: str,
-    records: Mapping[str, Record],
-    tree: Mapping[str, StoredFile],
-) -> RunPlan:
-    """Find what has to be built; files are listed, not read."""
+def list_all_inputs(
+    recordings: Sequence[Recording], records: Mapping[str, Record]
+) -> tuple[Inputs, list[Record]]:
+    """List the files of all recordings, unread; with new records of those without any."""
     list_files = _make_lister()
-    tasks, unlisted = [], []
+    inputs, unlisted = dict[str, tuple[InputFile, ...]](), []
     for recording in recordings:
         earlier = records.get(recording.name)
         try:
-            inputs = list_inputs(recording, list_files)
+            inputs[recording.name] = tuple(list_inputs(recording, list_files))
         except CatalogError as error:
             if earlier is None or earlier.reason != str(error):
                 unlisted.append(make_record(recording, "refused", str(error)))
-            continue
         except OSError as error:
             unlisted.append(make_record(recording, "failed", str(error)))
-            continue
-        if earlier is None or not is_current(earlier, recording, inputs, tree):
-            tasks.append(make_task(recording, inputs, address))
-    tasks.sort(key=lambda task: -sum(file.size for file in task.inputs))
-    return RunPlan(tuple(tasks), tuple(unlisted))
+    return inputs, unlisted
+
+
+@dataclass
+class Plan:
+    """What is left to do of a run.
+
+    Attributes:
+        address: address of the catalogue.
+        inputs: files of each recording.
+        places: the recordings of each place, those first whose own place is known best; a recording
+            without a place is alone.
+        tried: names of recordings that were built in this run as the first ones of their places,
+            and of those that were then registered to the first one.
+    """
+
+    address: str
+    inputs: Inputs
+    places: Sequence[Sequence[Recording]]
+    tried: tuple[set[str], set[str]] = field(default_factory=lambda: (set(), set()))
+
+    def list_ready(
+        self, records: Mapping[str, Record], tree: Mapping[str, StoredFile]
+    ) -> list[Task]:
+        """List the tasks that can be done now, the largest first; none where all is done."""
+        tasks = [task for rows in self.places for task in self._list_of_place(rows, records, tree)]
+        return sorted(tasks, key=lambda task: -sum(file.size for file in task.inputs))
+
+    def _list_of_place(
+        self,
+        rows: Sequence[Recording],
+        records: Mapping[str, Record],
+        tree: Mapping[str, StoredFile],
+    ) -> list[Task]:
+        current = {
+            row.name: record
+            for row in rows
+            if (record := records.get(row.name)) is not None
+            and is_current(record, row, self.inputs[row.name], tree)
+        }
+        built = [name for name, record in current.items() if record.status == "built"]
+        if built:  # the one that was registered to no other: its inputs have no reference
+            return self._list_others(rows, built[0], records, tree)
+        for row in rows:  # until one gives a map
+            if row.name not in current and row.name not in self.tried[0]:
+                self.tried[0].add(row.name)
+                return [make_task(row, self.inputs[row.name], self.address)]
+        return []
+
+    def _list_others(
+        self,
+        rows: Sequence[Recording],
+        reference: str,
+        records: Mapping[str, Record],
+        tree: Mapping[str, StoredFile],
+    ) -> list[Task]:
+        tasks = []
+        stored = tree[f"{reference}/{MAP}"]
+        first = InputFile("reference", MAP, stored.address, stored.size, stored.stamp)
+        for row in rows:
+            inputs = (*self.inputs[row.name], first)
+            earlier = records.get(row.name)
+            if row.name in self.tried[1] | {reference}:
+                continue
+            if earlier is None or not is_current(earlier, row, inputs, tree):
+                self.tried[1].add(row.name)
+                tasks.append(make_task(row, inputs, self.address, reference))
+        return tasks
+
+
+def make_plan(recordings: Sequence[Recording], inputs: Inputs, address: str) -> Plan:
+    """Plan a run: the recordings whose files are known, by their places."""
+    places: dict[str, list[Recording]] = {}
+    for row in recordings:
+        if row.name in inputs:
+            key = f"/{row.name}" if row.place is None else row.place  # no name has a slash
+            places.setdefault(key, []).append(row)
+    for rows in places.values():
+        rows.sort(key=lambda row: _rank(row, inputs[row.name]))
+    return Plan(address, inputs, list(places.values()))
+
+
+def _rank(recording: Recording, inputs: Sequence[InputFile]) -> int:
+    """How well the place of a recording is known by itself; 0 is best."""
+    roles = {file.role for file in inputs}
+    known = ("gcps" in roles, recording.imagery is not None, "telemetry" in roles)
+    return known.index(True) if any(known) else len(known)
 
 
 def _make_lister() -> Callable[[str], dict[str, StoredFile]]:
@@ -128,26 +201,32 @@ def build_catalog(
     records, tree, problems = read_records(address)
     for problem in problems:
         warn(problem)
-    plan = plan_run(recordings, address, records, tree)
-    if plan.tasks or plan.unlisted:
+    inputs, unlisted = list_all_inputs(recordings, records)
+    plan = make_plan(recordings, inputs, address)
+    tasks = plan.list_ready(records, tree)
+    if tasks or unlisted:
         check_output(address)
-    new = {record.name: record for record in plan.unlisted}
-    left = len(plan.tasks)
-    for record in plan.unlisted:
+    new = {record.name: record for record in unlisted}
+    left = len(tasks)
+    for record in unlisted:
         finished(record, left)
         earlier = records.get(record.name)
         # a store that does not answer takes no map away
         if record.status == "refused" or earlier is None or earlier.status != "built":
             write_record(record, get_folder(address, record.name))
-    if plan.tasks:
-        for record in run_tasks(plan.tasks, cluster or Cluster(), progress):
+    while tasks:
+        left = len(tasks)
+        for record in run_tasks(tasks, cluster or Cluster(), progress):
             left -= 1
             new[record.name] = record
             finished(record, left)
             if record.status == "failed":
                 with suppress(OSError):  # the store may be what failed; the next run tries again
                     write_record(record, get_folder(address, record.name))
-    if new:  # another run may have written records too
+        # another run may have written records too; those of failures may not be there
+        records, tree, _ = read_records(address)
+        tasks = plan.list_ready(records, tree)
+    if new:
         records = read_records(address)[0]
     if find_listing_problems(list(records.values()), address):
         write_listing(list(records.values()), address)

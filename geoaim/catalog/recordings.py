@@ -33,16 +33,19 @@ from geoaim.catalog.storage import (
     report_storage,
     split_address,
 )
+from geoaim.imagery.alignment.placing import parse_near
 from geoaim.mapping.build_map import MapSettings
 from geoaim.mapping.sampling import parse_frame_count
 from geoaim.mapping.video.video import IMAGE_SUFFIXES
 
 VERSION = version("geoaim")
-ROLES = ("video", "telemetry", "gcps", "detections")
+SOURCES = ("video", "gcps", "detections", "imagery", "tracks", "hdmap")  # columns of addresses
+ROLES = ("video", "telemetry", *SOURCES[1:], "reference")
 TELEMETRY_SUFFIXES = (".SRT", ".srt")
 ListFolder = Callable[[str], dict[str, StoredFile]]
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # a folder on every system, and part of a URL
 MAX_LISTED_NAMES = 3  # names that a message lists
+FROM_VIDEO = "video"  # in the column of tracks: they are made from the video
 NUMBERS = ("resolution", "frame_resolution", "height", "yaw", "focal_length")
 
 
@@ -56,6 +59,13 @@ class Recording:
         gcps: path or address of its control points; None: placed by telemetry or settings.
         detections: path or address of the folder of its boxes; None: it has none.
         datetime: time at which it was recorded, ISO 8601; None: the file's date.
+        place: name of its place; all maps of a place lie in one world. None: it is for itself.
+        imagery: path of an orthophoto or tiles, or address of a tile service, which place the map
+            of a recording that is the first of its place or for itself; None: there is none.
+        near: latitude and longitude of the frame's middle, degrees, which imagery needs where there
+            is no telemetry.
+        tracks: path or address of its tracks; "video": they are made from the video; None: none.
+        hdmap: path or address of a lanelet2 map, whose lanes tell headings of standing vehicles.
         settings: the options of its map.
     """
 
@@ -64,7 +74,18 @@ class Recording:
     gcps: str | None = None
     detections: str | None = None
     datetime: str | None = None
+    place: str | None = None
+    imagery: str | None = None
+    near: str | None = None
+    tracks: str | None = None
+    hdmap: str | None = None
     settings: MapSettings = field(default_factory=MapSettings)
+
+    def list_choices(self) -> dict[str, str]:
+        """List what is chosen beside files and settings: place, imagery, near, tracks."""
+        values = {"place": self.place, "imagery": self.imagery, "near": self.near}
+        values["tracks"] = FROM_VIDEO if self.tracks == FROM_VIDEO else None
+        return {name: value for name, value in values.items() if value is not None}
 
 
 COLUMNS = tuple(
@@ -77,7 +98,7 @@ def read_recordings(source: str | PathLike[str], *, stores: Sequence[str] = ()) 
 
     Args:
         source: path or address of a CSV with the column `video` and, where needed, `name` (unique;
-            the video's name if missing), `gcps`, `detections`, `datetime` and the options of
+            the video's name if missing), the other attributes of `Recording` and the options of
             `MapSettings`. Paths are relative to the table's folder. An empty cell is as no column.
         stores: beginnings of addresses that cells may have, such as "s3://bucket/". A table in a
             store may name files of that store; others send no request.
@@ -119,8 +140,8 @@ def _parse_row(cells: Mapping[str, str], folder: str, stores: Sequence[str]) -> 
         raise ValueError("it names no video")
     addresses = {
         column: join_address(folder, cells[column])
-        for column in ("video", "gcps", "detections")
-        if column in cells
+        for column in SOURCES
+        if column in cells and (column, cells[column]) != ("tracks", FROM_VIDEO)
     }
     for cell in addresses.values():
         if "::" in cell or ("://" in cell and not cell.startswith(tuple(stores))):
@@ -130,16 +151,20 @@ def _parse_row(cells: Mapping[str, str], folder: str, stores: Sequence[str]) -> 
                 + " allows requests to it"
             )
     name = cells.get("name") or get_name(addresses["video"]).rsplit(".", 1)[0]
-    if not NAME.fullmatch(name):
-        raise ValueError(
-            f"the name {name!r} is not made of letters, digits, '.', '_' and '-'; give another one "
-            "in the column name"
-        )
+    for column, value in (("name", name), ("place", cells.get("place", name))):
+        if not NAME.fullmatch(value):
+            raise ValueError(
+                f"the {column} {value!r} is not made of letters, digits, '.', '_' and '-'; give "
+                f"another one in the column {column}"
+            )
     if "datetime" in cells:
         datetime.fromisoformat(cells["datetime"])
-    return Recording(
-        name=name, datetime=cells.get("datetime"), settings=_parse_settings(cells), **addresses
-    )
+    if "imagery" in cells and "gcps" in cells:
+        raise ValueError("gcps and imagery both place the map; give one")
+    if "near" in cells:
+        parse_near(cells["near"])
+    kept = {key: cells[key] for key in ("datetime", "place", "near", "tracks") if key in cells}
+    return Recording(name=name, settings=_parse_settings(cells), **(kept | addresses))
 
 
 def _parse_settings(cells: Mapping[str, str]) -> MapSettings:
@@ -183,9 +208,14 @@ def list_inputs(recording: Recording, list_files: ListFolder = list_folder) -> l
     beside = list_files(folder)
     telemetry = (beside.get(stem + suffix) for suffix in TELEMETRY_SUFFIXES)
     files += [("telemetry", file) for file in telemetry if file and file.address != recording.video]
-    for role, address in (("gcps", recording.gcps), ("detections", recording.detections)):
-        if address is not None:
+    for role in ("gcps", "detections", "tracks", "hdmap"):
+        address = getattr(recording, role)
+        if address is not None and address != FROM_VIDEO:
             files += [(role, file) for file in _find_files(address, list_files)]
+    if recording.imagery is not None and "{" not in recording.imagery:  # else of a tile service
+        folder, name = split_address(recording.imagery)
+        if name in (beside := list_files(folder)):  # folders of tiles are not listed
+            files.append(("imagery", beside[name]))
     return [
         InputFile(role, get_name(file.address), file.address, file.size, file.stamp)
         for role, file in files
@@ -205,10 +235,11 @@ def fetch_inputs(
         path = folder / file.role.replace("telemetry", "video") / file.name
         download(file.address, path)
         paths.append(path)
+    roles = {file.role for file in inputs}
     sources: dict[str, Any] = {
-        role: _get_local_source(address, role, inputs, folder)
-        for role in ("video", "gcps", "detections")
-        if (address := getattr(recording, role)) is not None
+        role: _get_local_source(getattr(recording, role), role, inputs, folder)
+        for role in SOURCES
+        if role in roles
     }
     return replace(recording, **sources), paths
 
@@ -223,11 +254,16 @@ def _get_local_source(address: str, role: str, inputs: Sequence[InputFile], fold
 
 
 def compute_content_hash(
-    inputs: Sequence[InputFile], hashes: Sequence[str], settings: MapSettings
+    inputs: Sequence[InputFile], hashes: Sequence[str], recording: Recording
 ) -> str:
     """Compute what identifies a map: a hash of its inputs, its settings and geoaim's version."""
     files = [[file.role, file.name, digest] for file, digest in zip(inputs, hashes, strict=True)]
-    content = {"version": VERSION, "settings": asdict(settings), "inputs": sorted(files)}
+    content = {
+        "version": VERSION,
+        "settings": asdict(recording.settings),
+        "choices": recording.list_choices(),
+        "inputs": sorted(files),
+    }
     return hash_bytes(json.dumps(content, sort_keys=True).encode())
 
 

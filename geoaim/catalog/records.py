@@ -22,6 +22,8 @@ FOLDER = "recordings"  # folder of a catalogue that has a folder for each record
 RECORD = "record.json"
 MAP = "aim.tif"
 LOOK = "aim.png"
+TRACKS = "tracks.parquet"
+CHANGES = "changes.jpg"
 ITEM = "item.json"
 Status = Literal["built", "refused", "failed"]
 
@@ -45,6 +47,7 @@ class Record:
         reason: why it was refused or failed; empty if it was built.
         version: version of geoaim.
         settings: the options of its map.
+        choices: place, imagery, near and tracks, as `Recording.list_choices` lists them.
         content_hash: hash of inputs, settings and version; empty where an input could not be read.
         inputs: the files from which it was built.
         input_hashes: SHA-256 of each.
@@ -64,6 +67,7 @@ class Record:
     reason: str
     version: str
     settings: MapSettings
+    choices: Mapping[str, str] = field(default_factory=dict)
     content_hash: str = ""
     inputs: Sequence[InputFile] = ()
     input_hashes: Sequence[str] = ()
@@ -169,6 +173,7 @@ def is_current(
         record.status != "failed"
         and record.version == VERSION
         and record.settings == recording.settings
+        and record.choices == recording.list_choices()
         and tuple(record.inputs) == tuple(inputs)
         and has_files(record, sizes)
     )

@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from geoaim.aim.summary import summarize_report
 from geoaim.base.pages import read_page_style
 from geoaim.base.texts import plot_text
+from geoaim.catalog.place_tracks import get_tracks_path, group_tracks
 from geoaim.catalog.recordings import VERSION
-from geoaim.catalog.records import FOLDER, LOOK, MAP, Record, Status
+from geoaim.catalog.records import CHANGES, FOLDER, LOOK, MAP, Record, Status
 
 REPORT = "report.json"
 PAGE = "report.html"
@@ -45,6 +46,8 @@ def summarize_record(record: Record) -> dict[str, Any]:
     """Summarize a record: whether it was built, or why not; time, quality and uncertainty."""
     return {
         "name": record.name,
+        "place": record.choices.get("place"),
+        "datetime": record.datetime,
         "status": record.status,
         "reason": record.reason,
         "warnings": list(record.warnings),
@@ -63,16 +66,32 @@ def format_page(records: Sequence[Record]) -> str:
     counts = Counter(record.status for record in records)
     total = sum(record.processor_seconds for record in records)
     line = ", ".join(f"{counts[status]} {status}" for status in COLOURS if counts[status])
-    ordered = sorted(records, key=lambda record: (-list(COLOURS).index(record.status), record.name))
     return (
         f"<!doctype html><html lang=en class=geoaim-report><meta charset=utf-8>"
         f"<meta name=viewport content='width=device-width'><title>Maps by geoaim</title>"
         f"<style>{read_page_style()}{STYLE}</style><main><h1>{len(records)} recordings: {line}</h1>"
         f"<p>geoaim {escape(VERSION)}; {total / 3600:.2f} hours of processor time</p>"
         f"<div class=places>{_draw_places(records)}</div><table>"
-        f"<tr><th>map<th>recording<th>what is known{''.join(map(_format_row, ordered))}"
+        f"<tr><th>map<th>recording<th>what is known{_format_rows(records)}"
         f"</table></main></html>"
     )
+
+
+def _format_rows(records: Sequence[Record]) -> str:
+    """The rows: those of each place by their dates, then the others by what became of them."""
+    groups: dict[str | None, list[Record]] = {}
+    for record in sorted(records, key=lambda record: (record.datetime or "", record.name)):
+        groups.setdefault(record.choices.get("place"), []).append(record)
+    alone = groups.pop(None, [])
+    tracked, rows = group_tracks(records), ""
+    for place, days in sorted(groups.items(), key=lambda item: str(item[0])):
+        link = f": <a href='{get_tracks_path(str(place))}'>tracks</a>" if place in tracked else ""
+        rows += f"<tr><th colspan=3>{escape(str(place))}, {len(days)} recordings{link}"
+        rows += "".join(map(_format_row, days))
+    if groups and alone:
+        rows += "<tr><th colspan=3>of no place"
+    alone.sort(key=lambda record: (-list(COLOURS).index(record.status), record.name))
+    return rows + "".join(map(_format_row, alone))
 
 
 def _format_row(record: Record) -> str:
@@ -81,13 +100,20 @@ def _format_row(record: Record) -> str:
     if record.status == "built":
         look = f"<img loading=lazy src='{folder}/{LOOK}' alt='map of {escape(record.name)}'>"
         picture = f"<a href='{folder}/{MAP}'>{look}</a>"
+    if CHANGES in record.files:
+        picture += (
+            f"<br><img loading=lazy src='{folder}/{CHANGES}' alt='what differs from the first day'>"
+        )
     lines = [f"{name}: {value}" for name, value in summarize_report(record.report).items()]
+    if "changed_share" in record.report:
+        share = record.report["changed_share"]
+        lines.append(f"ground that differs from the first day (red): {share:.2%}")
     facts = "<br>".join(map(escape, [record.reason, *lines] if record.reason else lines))
     notes = "".join(f"<br><small>warning: {escape(text)}</small>" for text in record.warnings)
     return (
         f"<tr><td>{picture}<td><b>{escape(record.name)}</b><br>"
         f"<span class={colour}>{record.status}</span>"
-        f"<br><small>{record.seconds:.0f} s</small>"
+        f"<br><small>{escape((record.datetime or '')[:16])}<br>{record.seconds:.0f} s</small>"
         f"<td>{facts}{notes}"
     )
 

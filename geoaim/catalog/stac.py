@@ -9,7 +9,7 @@ from typing import Any
 
 import pystac
 
-from geoaim.catalog.records import FOLDER, ITEM, Record
+from geoaim.catalog.records import CHANGES, FOLDER, ITEM, LOOK, MAP, TRACKS, Record
 
 COLLECTION = "collection.json"
 INDEX = "items.parquet"
@@ -18,8 +18,13 @@ EXTENSIONS = [
     "https://stac-extensions.github.io/file/v2.1.0/schema.json",
 ]
 SHA256_MULTIHASH = "1220"  # the code of SHA-256, and its length
-MEDIA_TYPES = {".tif": pystac.MediaType.COG, ".png": pystac.MediaType.PNG}
-ROLES = {".tif": "data", ".png": "overview"}
+MEDIA_TYPES = {
+    MAP: pystac.MediaType.COG,
+    LOOK: pystac.MediaType.PNG,
+    CHANGES: pystac.MediaType.JPEG,
+    TRACKS: "application/vnd.apache.parquet",
+}
+ROLES = {MAP: "data", LOOK: "overview", CHANGES: "overview", TRACKS: "data"}
 
 
 def make_item(record: Record) -> pystac.Item:
@@ -36,21 +41,17 @@ def make_item(record: Record) -> pystac.Item:
         id=record.name,
         geometry=geometry,
         bbox=bbox,
-        datetime=_parse_time(record.datetime),
+        datetime=parse_time(record.datetime),
         properties=_list_properties(record),
         stac_extensions=EXTENSIONS,
         collection="geoaim",
     )
     for name, file in record.files.items():
-        suffix = Path(name).suffix
         fields = {"file:size": file.size, "file:checksum": SHA256_MULTIHASH + file.sha256}
         item.add_asset(
-            Path(name).stem if suffix == ".tif" else "quicklook",
+            "quicklook" if name == LOOK else Path(name).stem,
             pystac.Asset(
-                f"./{name}",
-                media_type=MEDIA_TYPES[suffix],
-                roles=[ROLES[suffix]],
-                extra_fields=fields,
+                f"./{name}", media_type=MEDIA_TYPES[name], roles=[ROLES[name]], extra_fields=fields
             ),
         )
     item.add_link(pystac.Link("collection", f"../../{COLLECTION}", pystac.MediaType.JSON))
@@ -84,6 +85,7 @@ def _list_properties(record: Record) -> dict[str, Any]:
     uncertainty = georeference.get("uncertainty") or {}
     return {
         "created": record.started,
+        "geoaim:place": record.choices.get("place"),
         "gsd": grid["resolution_m"],
         "proj:code": grid["crs"] if str(grid["crs"]).startswith("EPSG:") else None,
         "proj:shape": grid["shape"],
@@ -134,7 +136,8 @@ def _move_to_root(item: pystac.Item) -> dict[str, Any]:
     return values
 
 
-def _parse_time(text: str) -> datetime:
+def parse_time(text: str) -> datetime:
+    """Parse a date and time, of this machine's zone if it names none."""
     time = datetime.fromisoformat(text)
     return time if time.tzinfo else time.astimezone()
 

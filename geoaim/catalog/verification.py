@@ -6,6 +6,7 @@ from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from geoaim.catalog.place_tracks import PLACES, get_tracks_path, group_tracks, join_tracks
 from geoaim.catalog.records import (
     FOLDER,
     RECORD,
@@ -25,6 +26,7 @@ from geoaim.catalog.storage import (
     hash_file,
     join_address,
     list_folder,
+    list_tree,
     make_address,
     read_files,
     remove_file,
@@ -46,7 +48,7 @@ class Problem:
 
 def write_listing(records: Sequence[Record], catalog: str) -> None:
     """Write index, report and checksums."""
-    contents = format_index(records) | format_report(records)
+    contents = format_index(records) | format_report(records) | join_tracks(records, catalog)
     if INDEX not in contents:
         remove_file(join_address(catalog, INDEX))
     for name, content in contents.items():
@@ -62,6 +64,9 @@ def find_listing_problems(records: Sequence[Record], catalog: str) -> list[Probl
     names = [COLLECTION, REPORT, PAGE, CHECKSUMS]
     if any(record.grid.get("corners_lonlat") for record in records):
         names.append(INDEX)
+    joined = list_tree(join_address(catalog, PLACES))
+    stored |= {f"{PLACES}/{path}": file for path, file in joined.items()}
+    names += [get_tracks_path(place) for place in group_tracks(records)]
     problems = [Problem(name, "missing") for name in names if name not in stored]
     if CHECKSUMS not in stored:
         return problems
@@ -71,7 +76,8 @@ def find_listing_problems(records: Sequence[Record], catalog: str) -> list[Probl
     for name, content in contents.items():
         if sums.get(name) != hash_bytes(content):
             problems.append(Problem(name, CHECKSUM_DIFFERS, is_changed=True))
-    if {path: digest for path, digest in sums.items() if "/" in path} != _list_sums(records):
+    of_records = {path: digest for path, digest in sums.items() if path.startswith(f"{FOLDER}/")}
+    if of_records != _list_sums(records):
         problems.append(Problem(CHECKSUMS, "changed, or older than a record: they differ"))
     if INDEX in stored and INDEX not in names:
         problems.append(Problem(INDEX, "lists maps that are not there any more"))

@@ -119,27 +119,14 @@ def _choose_placing(
         return None
     if points is not None:
         raise ValueError("--points and --imagery both place the map; give one")
+    from geoaim.imagery.alignment.placing import parse_near, place_by_imagery
+
     sources, start = list(imagery), None if near is None else parse_near(near)
 
     def place(aim: "AIM") -> "AIM":
-        from geoaim.imagery.alignment.placing import place_by_imagery
-
         return place_by_imagery(aim, sources, near=start, accuracy=accuracy, progress=progress)
 
     return place
-
-
-def parse_near(text: str) -> tuple[float, float]:
-    """Parse the value of --near: latitude and longitude, degrees."""
-    try:
-        latitude, longitude = map(float, text.split(","))
-    except ValueError:
-        raise ValueError(
-            f"--near {text!r} is not latitude,longitude in degrees, such as 49.99,36.23"
-        ) from None
-    if not (abs(latitude) <= 90 and abs(longitude) <= 180):
-        raise ValueError(f"--near {text!r}: a latitude is at most 90, a longitude at most 180")
-    return latitude, longitude
 
 
 def _parse_frames(text: str) -> "FrameCount":

@@ -7,7 +7,6 @@ import typer
 
 from geoaim.cli import options
 from geoaim.cli.console import console, print_result, report_errors, show_progress
-from geoaim.cli.maps import parse_near
 
 
 def place(
@@ -40,6 +39,7 @@ def place(
     Example: geoaim place samples/hover.mp4 -o junction
     """
     from geoaim.base.files import check_new_folder
+    from geoaim.imagery.alignment.placing import parse_near
     from geoaim.mapping.video.video import open_video
     from geoaim.pipeline import Evidence, place_video
 

@@ -1,7 +1,7 @@
 """Commands that make tracks from a video, and read those of others."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -112,14 +112,7 @@ def track(
     print_result([output], lines, as_json)
 
 
-Format = Literal["plain", "geopackage", "geo-trax", "scenarionet"]
-FORMATS: dict[str, Format] = {
-    ".csv": "plain",
-    ".parquet": "plain",
-    ".gpkg": "geopackage",
-    "": "scenarionet",
-}
-SUFFIXES = {"plain": (".csv", ".parquet"), "geopackage": (".gpkg",), "geo-trax": (".csv",)}
+FORMATS = {".csv": "plain", ".parquet": "plain", ".gpkg": "GeoPackage", "": "ScenarioNet"}
 
 
 def convert(
@@ -128,9 +121,6 @@ def convert(
         typer.Argument(help=f"{options.TRACKS_HELP}; several of one recording are merged"),
     ],
     output: Annotated[Path, options.output(".csv, .parquet or .gpkg, or a new folder, to write")],
-    to: Annotated[
-        Format | None, typer.Option(help="format; by the name of the output if omitted")
-    ] = None,
     rate: Annotated[
         float | None, typer.Option(help="resample to this rate, Hz; ScenarioNet needs 10")
     ] = None,
@@ -147,9 +137,6 @@ def convert(
         str | None,
         typer.Option(help="GeoPackage: date and time at which time is 0; 1970-01-01 if omitted"),
     ] = None,
-    aim: Annotated[
-        Path | None, typer.Option(help="geo-trax: AIM whose pixels are Ortho_X and Ortho_Y")
-    ] = None,
     lights: options.LightsFile = None,
     hdmap: options.HDMapFile = None,
     stop_lines: options.StopLinesFile = None,
@@ -157,44 +144,46 @@ def convert(
     tracks_resolution: options.TracksResolution = None,
     tracks_frame_rate: options.TracksFrameRate = None,
 ) -> None:
-    """Write tracks in another format: plain, GeoPackage, geo-trax or ScenarioNet.
+    """Write tracks in another format: plain, GeoPackage or ScenarioNet.
 
     Files of one recording, such as one of vehicles and one of pedestrians, are merged.
 
     A name that ends in .csv or .parquet is the plain format, .gpkg a GeoPackage, and a folder
-    ScenarioNet, with the lanes and lights of --hdmap and --lights. geo-trax needs --to geo-trax.
+    ScenarioNet, with the lanes and lights of --hdmap and --lights.
 
     Example: geoaim convert samples/tracks.csv -o tracks.gpkg
     """
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.hdmap.scenarionet import write_scenarionet
     from geoaim.tracks.changes import merge_tracks
-    from geoaim.tracks.formats.geotrax import CLASS_OF_TYPE
+    from geoaim.tracks.files import write_tracks
+    from geoaim.tracks.formats import write_geopackage
 
     with report_errors():
-        written = to or FORMATS.get(output.suffix.lower())
-        if written is None:
-            raise ValueError(f"{output}: give a name that ends in {', '.join(FORMATS)}, or --to")
-        if start_date is not None and written != "geopackage":
+        suffix = output.suffix.lower()
+        if suffix not in FORMATS:
+            raise ValueError(f"{output}: give a name that ends in .csv, .parquet or .gpkg")
+        if start_date is not None and suffix != ".gpkg":
             raise ValueError("--start-date gives the dates of a GeoPackage; name the output .gpkg")
-        if written != "scenarionet":
-            check_output(output, SUFFIXES[written], [*tracks, aim])
+        if suffix:
+            check_output(output, (suffix,), tracks)
         given = tracks_world, tracks_resolution, tracks_frame_rate
         read = merge_tracks([read_any_tracks(path, *given) for path in tracks])
         read = _change_times(read, rate, start, duration)
-        if written != "plain":
+        if FORMATS[suffix] != "plain":
             _warn_of_derived_states(read, tracks)
-        if written == "scenarionet":
+        if suffix == ".gpkg":
+            write_geopackage(read, output, **({} if start_date is None else {"start": start_date}))
+        elif suffix:
+            write_tracks(read, output)
+        else:
             files = {"lights": lights, "hdmap": hdmap, "stop_lines": stop_lines}
             lights, hdmap, stop_lines = find_roads(tracks[0], files).values()
             roads = None if hdmap is None else read_hdmap(hdmap, read.world)
             known = read_any_lights(lights, stop_lines, roads, read.world)
             write_scenarionet(read, output, hdmap=roads, lights=known, ego=ego)
-        else:
-            _write(read, output, written, aim, start_date)
-    agents = sum(kind in CLASS_OF_TYPE for kind in read.types)
-    count = agents if written == "geo-trax" else len(read.ids)
-    console.print(f"{output}: {count} agents at {len(read.times)} times ({written})")
+    count = f"{len(read.ids)} agents at {len(read.times)} times"
+    console.print(f"{output}: {count} ({FORMATS[suffix]})")
 
 
 def _change_times(
@@ -220,18 +209,3 @@ def _warn_of_derived_states(tracks: "Tracks", paths: list[Path]) -> None:
             "prediction from the written file knows up to half a second of what comes; predict "
             "from the original"
         )
-
-
-def _write(
-    tracks: "Tracks", output: Path, written: Format, aim: Path | None, date: str | None
-) -> None:
-    from geoaim.aim.files import read_aim
-    from geoaim.tracks.files import write_tracks
-    from geoaim.tracks.formats import write_geopackage, write_geotrax
-
-    if written == "geo-trax":
-        write_geotrax(tracks, output, aim=None if aim is None else read_aim(aim))
-    elif written == "geopackage":
-        write_geopackage(tracks, output, **({} if date is None else {"start": date}))
-    else:
-        write_tracks(tracks, output)

@@ -2,6 +2,7 @@
 
 import json
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -10,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
+from scipy.spatial import cKDTree
 
 MODEL = Path(__file__).parent / "models" / "vehicles.onnx"
 RESOLUTION = 0.265  # metres per pixel of the pictures that the network was trained on
@@ -83,9 +85,14 @@ def find_peaks(image: UInt8[Array, "H W 3"], lowest: float, model: Path = MODEL)
             own &= _is_own(centres[:, 1], top, image.shape[0])
             moved = Peaks(centres, peaks.headings, peaks.lengths, peaks.widths, peaks.logits)
             parts.append(moved.pick(np.flatnonzero(own)))
-    fields = zip(*(vars(part).values() for part in parts), strict=True)
-    joined = Peaks(*(np.concatenate(field) for field in fields))
+    joined = join_peaks(parts)
     return joined.pick(_drop_doubles(joined))
+
+
+def join_peaks(parts: Sequence[Peaks]) -> Peaks:
+    """Join the vehicles of several pictures, one after the other."""
+    fields = zip(*(vars(part).values() for part in parts), strict=True)
+    return Peaks(*(np.concatenate(field) for field in fields))
 
 
 def _cut(size: int) -> range:
@@ -127,19 +134,22 @@ def decode(output: Float32[Array, "9 h w"], lowest: float) -> Peaks:
 
 def _drop_doubles(peaks: Peaks) -> Array:
     """Get the numbers of vehicles whose middle lies in no better one, and the other way round."""
-    kept: list[int] = []
     along = np.stack([np.cos(peaks.headings), np.sin(peaks.headings)], axis=1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    half = np.stack([peaks.lengths, peaks.widths], axis=1) / 2
-    for k in np.argsort(-peaks.logits, kind="stable"):
-        others = np.array(kept, int)
-        between = peaks.centres[others] - peaks.centres[k]
-
-        def reach(rows: Array, between: Array = between) -> Array:
-            part = np.stack([(between * along[rows]).sum(1), (between * across[rows]).sum(1)], 1)
-            return (np.abs(part) / half[rows]).max(1, initial=0)
-
-        # 0.8 of half a size: vehicles stand side by side at no less than twice that
-        if not (np.minimum(reach(others), reach(np.full(len(others), k))) < 0.8).any():
-            kept.append(int(k))
-    return np.array(sorted(kept), int)
+    # 0.8 of half a size: vehicles stand side by side at no less than twice that
+    half = 0.8 / 2 * np.stack([peaks.lengths, peaks.widths], axis=1)
+    kept = np.ones(len(half), bool)
+    reach = float(np.hypot(*half.T).max(initial=0))
+    pairs = cKDTree(peaks.centres).query_pairs(reach, output_type="ndarray")
+    between = peaks.centres[pairs[:, 1]] - peaks.centres[pairs[:, 0]]
+    inside = np.zeros(len(pairs), bool)
+    for rows in pairs.T:
+        offset = [(between * axis[rows]).sum(axis=1) for axis in (along, across)]
+        inside |= (np.abs(np.stack(offset, axis=1)) < half[rows]).all(axis=1)
+    rank = np.argsort(np.argsort(-peaks.logits, kind="stable"))
+    ranks = np.sort(rank[pairs[inside]], axis=1)
+    by_rank = np.argsort(rank)
+    # each pair comes after all that may drop its better one
+    for better, worse in by_rank[ranks[np.argsort(ranks[:, 0], kind="stable")]].tolist():
+        kept[worse] &= not kept[better]
+    return np.flatnonzero(kept)

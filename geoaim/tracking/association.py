@@ -61,18 +61,11 @@ class _Candidates:
 
 
 def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Tracklets:
-    """Associate detections to tracks by optimal assignment to predicted positions.
+    """Associate detections of all frames to tracks by optimal assignment to predicted positions.
 
     Tracks are predicted at constant velocity. The cost of a pair is minus twice its log likelihood,
     against that of a miss and a new agent: of the distance, the size and the type. A track counts
     from its fifth detection on; what has fewer is false. The noise is that of the boxes so far.
-
-    Args:
-        detections: detections of all frames.
-        times: of the frames, s.
-
-    Returns:
-        The tracks.
     """
     # frames without any box count neither as misses nor as steps: a detector may have been given
     # every third frame only

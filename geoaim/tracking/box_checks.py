@@ -37,13 +37,8 @@ def drop_doubled_boxes(
 ) -> tuple[list[DetectedBoxes | None], int, int]:
     """Drop boxes that lie on another one of any class, and those that are a part of one.
 
-    Of two, that with the greater score stays; without scores the larger one.
-
-    Args:
-        frames: boxes of each frame.
-
-    Returns:
-        The others, how many were doubled, and how many had no area or values missing.
+    Of two, that with the greater score stays; without scores the larger one. Gives the others of
+    each frame, how many were doubled, and how many had no area or values missing.
     """
     cleaned: list[DetectedBoxes | None] = []
     doubled = empty = 0

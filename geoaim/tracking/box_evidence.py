@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import cv2
 import numpy as np
@@ -22,7 +21,6 @@ INNER = 0.7  # of a box's sides, inside of which its agent is
 # they are given: 0.93 of right boxes of the sample video, 0.67 of those five frames late, 0.12 of
 # those of a letterbox, and under 0.07 of others; other readings of right boxes lack 1.0 or more
 BETTER, LEAST = 0.5, 0.15
-STRIDES = (2, 3, 4, 5, 6, 8, 10, 12, 15, 20, 25, 30)
 
 Bounds = Float[Array, "_ 4"]  # left, top, right, bottom; pixels
 
@@ -34,23 +32,6 @@ class View:
     index: int  # of the frame
     differs: Float[Array, "H W"]  # 0 to 1
     known: Bool[Array, "H W"]  # which pixels the map covers
-
-
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    """Integrals of a view."""
-
-    index: int
-    differs: Float[Array, "h w"]
-    known: Float[Array, "h w"]
-
-
-@dataclass(frozen=True)
-class _Reading:
-    """Another reading of boxes: what it says, and the boxes of a frame by it."""
-
-    text: str
-    read: Callable[[int], Bounds | None]
 
 
 def shrink(grey: UInt8[Array, "H W"]) -> UInt8[Array, "h w"]:
@@ -84,31 +65,24 @@ def check_evidence(
 ) -> None:
     """Warn where boxes do not lie on what differs from the map, or would do so read otherwise.
 
-    Only boxes of agents that moved on count: who stands all the time may be in the map.
-
-    Args:
-        views: some frames.
-        boxes: of all frames, by their numbers.
-        reference_from_frame: transforms of pixels to those of one frame; NaN where not known.
-        size: (width, height) of the frames.
-        rate: frames per second.
+    Only boxes of agents that moved on count: who stands all the time may be in the map. Boxes and
+    transforms to the pixels of one frame are by number of frame; the size is width and height, the
+    rate frames a second.
     """
     if not views:
         return
-    sums = [
-        _Sums(view.index, cv2.integral(view.differs), cv2.integral(view.known.astype(np.float64)))
-        for view in views
-    ]
+    sums = [[cv2.integral(np.asarray(p, float)) for p in (v.differs, v.known)] for v in views]
     usual = float(np.mean([view.differs[view.known].mean() for view in views]))
     moving = _find_moving(boxes, reference_from_frame)
-    given, count = _weigh(sums, moving.get, usual, size)
+    at = [view.index for view in views]
+    given, count = _weigh(sums, [moving.get(n) for n in at], usual, size)
     if count < MIN_BOXES:
         return
     best, text = given, ""
-    for reading in _list_readings(moving, size, reference_from_frame, rate):
-        value, number = _weigh(sums, reading.read, usual, size)
+    for what, read in _list_readings(moving, at, size, reference_from_frame, rate):
+        value, number = _weigh(sums, read, usual, size)
         if number >= max(MIN_BOXES, count / 2) and value > best:
-            best, text = value, reading.text
+            best, text = value, what
     found = f"of boxes that move {max(given, 0):.0%} differs from the map"
     if 1 - best < BETTER * (1 - given) and best > 2 * LEAST:
         warn(f"{found}; it would be {best:.0%} {text}")
@@ -138,22 +112,24 @@ def _find_moving(
 
 
 def _weigh(
-    sums: Sequence[_Sums], read: Callable[[int], Bounds | None], usual: float, size: tuple[int, int]
+    sums: Sequence[Sequence[Array]],
+    boxes: Sequence[Bounds | None],
+    usual: float,
+    size: tuple[int, int],
 ) -> tuple[float, int]:
     """Weigh how much of the boxes differs from the map, less what does so anywhere; and count."""
     shares = []
-    for view in sums:
-        own = read(view.index)
-        if own is None or not len(own):
+    for (differs, known), own in zip(sums, boxes, strict=True):
+        if own is None:
             continue
-        limits = np.array(view.known.shape[::-1] * 2) - 1
+        limits = np.array(known.shape[::-1] * 2) - 1
         own = own * (limits / np.array(size * 2))
         middle, half = (own[:, :2] + own[:, 2:]) / 2, INNER * (own[:, 2:] - own[:, :2]) / 2
         ends = np.concatenate([middle - half, middle + half], axis=1)
         ends = ends.round().clip(0, limits).astype(int)
-        area = _add_up(view.known, ends)
+        area = _add_up(known, ends)
         seen = area > 2 * half.prod(axis=1)  # half of the box is on the map
-        shares += (_add_up(view.differs, ends)[seen] / np.maximum(area[seen], 1)).tolist()
+        shares += (_add_up(differs, ends)[seen] / np.maximum(area[seen], 1)).tolist()
     mean = float(np.mean(shares)) if shares else 0.0
     return (mean - usual) / (1 - usual), len(shares)
 
@@ -166,55 +142,40 @@ def _add_up(integral: Float[Array, "h w"], ends: Int[Array, "n 4"]) -> Float[Arr
 
 def _list_readings(
     boxes: Mapping[int, Bounds],
+    at: Sequence[int],
     size: tuple[int, int],
     reference_from_frame: Mapping[int, Array],
     rate: float,
-) -> Iterator[_Reading]:
-    """List what boxes may be instead of what they are taken for."""
-    for text, function in _list_slips(size):
-        yield _Reading(text, partial(_change, boxes, function))
-    moved: dict[int, Bounds] = {}
-    for n, own in boxes.items():
-        if np.isfinite(reference_from_frame[n]).all():
-            back = np.linalg.inv(reference_from_frame[n])
-            moved[n] = np.asarray(transform_points(back, own.reshape(-1, 2)).reshape(-1, 4))
-    yield _Reading("if they are of a stabilised video: detect vehicles in this one", moved.get)
-    for stride in STRIDES:
+) -> Iterator[tuple[str, list[Bounds | None]]]:
+    """List what boxes may be instead of what they are taken for, and those of some frames so."""
+    whole, exchanged = np.array(size * 2), [1, 0, 3, 2]
+    text = "with x and y exchanged, as in TensorFlow's ymin, xmin, ymax, xmax: exchange them"
+    slips: tuple[tuple[str, Callable[[Bounds], Bounds]], ...] = (
+        (
+            "if y counts from the bottom: turn them over",
+            lambda own: np.where([False, True] * 2, whole - own[:, [2, 3, 0, 1]], own),
+        ),
+        (text, lambda own: own[:, exchanged]),  # of pixels, and of shares
+        (text, lambda own: own[:, exchanged] * whole / whole[exchanged]),
+        (
+            "as shares of a square to which frames were padded: give boxes of the frames",
+            lambda own: (own - whole / 2) * max(size) / whole + whole / 2,
+        ),
+    )
+    for text, change in slips:
+        yield text, [change(boxes[n]) if n in boxes else None for n in at]
+    moved = {
+        n: transform_points(np.linalg.inv(reference_from_frame[n]), boxes[n].reshape(-1, 2))
+        for n in boxes.keys() & at
+        if np.isfinite(reference_from_frame[n]).all()
+    }
+    text = "if they are of a stabilised video: detect vehicles in this one"
+    yield text, [moved[n].reshape(-1, 4) if n in moved else None for n in at]
+    for stride in range(2, 31):
         text = f"if one in {stride} frames has boxes, numbered on: --rate {rate / stride:.4g}"
-        yield _Reading(f"{text} says so", partial(_take, boxes, stride, 0))
+        yield f"{text} says so", [boxes.get(n // stride) for n in at]
     for lag in range(1, max(boxes, default=0)):
         text = f"{lag} frames earlier: do they count from {lag} (--first {lag})?"
-        yield _Reading(text, partial(_take, boxes, 1, lag))
+        yield text, [boxes.get(n + lag) for n in at]
         text = f"{lag} frames later: are they of a part of the video that begins there?"
-        yield _Reading(text, partial(_take, boxes, 1, -lag))
-
-
-def _take(boxes: Mapping[int, Bounds], stride: int, lag: int, index: int) -> Bounds | None:
-    return boxes.get(index // stride + lag)
-
-
-def _change(
-    boxes: Mapping[int, Bounds], function: Callable[[Bounds], Bounds], index: int
-) -> Bounds | None:
-    return function(boxes[index]) if index in boxes else None
-
-
-def _list_slips(size: tuple[int, int]) -> Iterator[tuple[str, Callable[[Bounds], Bounds]]]:
-    """List what becomes of boxes in a frame where their numbers mean something else."""
-    width, height = size
-    whole, order = np.array(size * 2), [1, 0, 3, 2]
-
-    def turn_over(own: Bounds, axis: int) -> Bounds:
-        turned, sides = own.copy(), [axis, axis + 2]
-        turned[:, sides] = whole[axis] - own[:, sides[::-1]]
-        return turned
-
-    yield "if y counts from the bottom: turn them over", partial(turn_over, axis=1)
-    yield "if x counts from the right: turn them over", partial(turn_over, axis=0)
-    text = "with x and y exchanged, as in TensorFlow's ymin, xmin, ymax, xmax: exchange them"
-    yield text, lambda own: own[:, order]  # of pixels, and of shares
-    yield text, lambda own: own[:, order] * whole / whole[order]
-    yield (
-        "as shares of a square to which frames were padded: give boxes of the frames",
-        lambda own: (own - whole / 2) * max(width, height) / whole + whole / 2,
-    )
+        yield text, [boxes.get(n - lag) for n in at]

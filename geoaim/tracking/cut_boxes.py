@@ -14,19 +14,10 @@ def complete_cut_boxes(
     headings: Float[Array, "M"],
     sizes: Float[Array, "N 2"],
 ) -> Float[Array, "M 2"]:
-    """Move the middles of cut boxes to where those of the whole boxes are.
+    """Move the middles of cut boxes to where those of the whole boxes are, m.
 
     The end that lies inside the frame stays; the other one is as far from it as the agent's size
-    and heading tell. A box that is larger than they tell stays as it is.
-
-    Args:
-        detections: detections in the world.
-        track: number of each detection's agent.
-        headings: of the agents at their detections, rad.
-        sizes: of the agents, m.
-
-    Returns:
-        Positions, m.
+    (m) and its heading at the detection (rad) tell. A larger box stays as it is.
     """
     position = detections.position.copy()
     for row in np.flatnonzero(detections.may_be_cut):

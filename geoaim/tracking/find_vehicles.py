@@ -1,4 +1,4 @@
-"""Vehicles without boxes: the network's own, weighed by what differs from the map."""
+"""Vehicles without boxes: the network's own, in frames and in what differs from the map."""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ from geoaim.base.geometry import to_opencv
 from geoaim.base.grid import Grid
 from geoaim.base.progress import Progress, no_progress, notebook_progress
 from geoaim.detection.detect import DOUBTFUL
-from geoaim.detection.network import RESOLUTION, Peaks, find_peaks, read_calibration
+from geoaim.detection.network import RESOLUTION, Peaks, find_peaks, join_peaks, read_calibration
 from geoaim.detection.vehicles import resample
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.mapping.video.video import Video, VideoSource, open_video
@@ -26,11 +26,12 @@ from geoaim.tracks.formats.shared import MAX_CAR_LENGTH_M
 # twice as many, and fewer by two thirds of it
 RATE = 4.0
 LOWEST = -2.0  # log odds; of vehicles of validation videos 98 % (Songdo) and 93 % (Minsk) are above
-# log odds of a vehicle in a video: the network's, less `STILL`, more `MOVED` for each e-fold by
-# which the difference from the map exceeds `USUAL` times what is typical of the frame. Chosen on
-# videos of two stills of Songdo and of Minsk with their real cars; of other seeds only one was
-# judged, with 2 for `MOVED`
-STILL, MOVED, USUAL = 2.0, 3.0, 2.0
+# log odds of a vehicle in a frame: the network's, less `STILL`, since what is mistaken once is
+# mistaken in all frames, more `MOVED` for each e-fold by which the difference from the map exceeds
+# `USUAL` times what is typical of the frame. Chosen on videos of two stills of Songdo and of Minsk
+# with their real cars
+STILL, MOVED, USUAL = 1.0, 3.0, 2.0
+EVEN = 110.0  # grey level on which the network is shown what differs; 70 and 160 do as well
 MAX_SHARED = 0.1  # of a box that lies in a better one; more is its shadow or a piece of it
 MIN_PROBABILITY = 0.3  # of a box that may belong to a track
 MIN_CERTAINTY = 0.5  # mean probability of a track; 0 counts for the frames without its box
@@ -48,6 +49,7 @@ def find_vehicles(
 
     A small network finds what looks like a vehicle in four frames a second. Where such a frame
     differs from the map, something came, left or moves, which makes a vehicle of it more probable.
+    The network also looks at the difference alone, in which a dark car on dark ground stands out.
 
     Args:
         video: what `open_video` opens.
@@ -86,8 +88,11 @@ def search_frames(
             image = resample(frame.image, resolution)
             shrink = np.array(image.shape[1::-1]) / size[::-1]
             image_from_world = np.diag([*shrink, 1.0]) @ np.linalg.inv(matrices[frame.index])
-            excess = ground.compare(image, image_from_world)
-            found[frame.index] = _weigh(find_peaks(image, LOWEST), excess, shrink)
+            change, excess = ground.compare(image, image_from_world)
+            seen = find_peaks(image, LOWEST)
+            peaks = join_peaks([seen, find_peaks(change, LOWEST)])
+            odds = _weigh(peaks, excess, len(seen.logits))
+            found[frame.index] = _choose(peaks, odds, shrink)
             progress("find vehicles", len(found), len(chosen))
     return [found.get(index) for index in matrices]
 
@@ -129,28 +134,47 @@ class _Ground:
 
     def compare(
         self, frame: UInt8[Array, "H W 3"], frame_from_world: Float[Array, "3 3"]
-    ) -> Float32[Array, "H W"]:
-        """Compare a frame with the map: the difference over what is typical; 0 where unknown."""
+    ) -> tuple[UInt8[Array, "H W 3"], Float32[Array, "H W"]]:
+        """Compare a frame with the map.
+
+        Returns:
+            The difference on an even ground, and its size over what is typical; 0 where unknown.
+        """
         matrix, size = to_opencv(frame_from_world @ self.world_from_image), frame.shape[1::-1]
         view = cv2.warpPerspective(self.image, matrix, size, flags=cv2.INTER_LINEAR)
         known = cv2.warpPerspective(self.covered, matrix, size, flags=cv2.INTER_NEAREST) > 0
-        if not known.any():
-            return np.zeros(known.shape, np.float32)
-        change = view.astype(np.float32) - frame
-        difference = 1 + np.abs(change - np.median(change[known], axis=0)).max(axis=2)
-        return np.asarray(known * difference / np.median(difference[known]), np.float32)
+        change = cv2.subtract(frame, view, dtype=cv2.CV_16S)
+        seen = known[::4, ::4]  # which medians need no more than
+        usual = np.median(change[::4, ::4][seen], axis=0) if seen.any() else np.zeros(3)
+        even = (change + (EVEN - usual).astype(np.int16)).clip(0, 255).astype(np.uint8)
+        even[~known] = EVEN
+        parts = cv2.split(cv2.LUT(even, np.abs(np.arange(256) - EVEN).astype(np.uint8)))
+        largest = cv2.max(cv2.max(parts[0], parts[1]), parts[2])
+        typical = 1 + (float(np.median(largest[::4, ::4][seen])) if seen.any() else 0.0)
+        return even, known * (1 + largest.astype(np.float32)) / typical
 
 
-def _weigh(peaks: Peaks, excess: Float32[Array, "H W"], shrink: Float[Array, "2"]) -> DetectedBoxes:
-    """Weigh what the network found by how its inside differs from the map; in frame pixels."""
-    corners = peaks.get_corners()
-    along, across = (corners[:, k, None] - corners[:, 0, None] for k in (1, 3))
-    inside = peaks.centres[:, None] + WITHIN[:, :1] * along + WITHIN[:, 1:] * across
+def _weigh(peaks: Peaks, excess: Float32[Array, "H W"], in_frame: int) -> Float[Array, " N"]:
+    """Weigh peaks, the first of which are of the frame itself, and say their log odds."""
+    inside = _sample_inside(peaks)
     last = np.array(excess.shape[::-1]) - 1
     columns, rows = np.moveaxis(inside.clip(0, last).astype(int), 2, 0)
     moved = np.log(np.maximum(excess[rows, columns].mean(axis=1) / USUAL, 1))
     slope, offset = read_calibration()
-    odds = slope * peaks.logits + offset - STILL + MOVED * moved
+    prior = np.where(np.arange(len(moved)) < in_frame, MOVED * moved - STILL, 0.0)
+    return np.asarray(slope * peaks.logits + offset + prior)
+
+
+def _sample_inside(peaks: Peaks) -> Float[Array, "N n 2"]:
+    """Sample points inside boxes."""
+    corners = peaks.get_corners()
+    along, across = (corners[:, k, None] - corners[:, 0, None] for k in (1, 3))
+    return peaks.centres[:, None] + WITHIN[:, :1] * along + WITHIN[:, 1:] * across
+
+
+def _choose(peaks: Peaks, odds: Float[Array, " N"], shrink: Float[Array, "2"]) -> DetectedBoxes:
+    """Choose the probable peaks, the best of each place, as boxes in pixels of the frame."""
+    corners, inside = peaks.get_corners(), _sample_inside(peaks)
     likely = np.flatnonzero(odds > np.log(MIN_PROBABILITY / (1 - MIN_PROBABILITY)))
     kept = likely[_find_single(corners[likely], inside[likely], odds[likely])]
     is_long = peaks.lengths[kept] * RESOLUTION > MAX_CAR_LENGTH_M

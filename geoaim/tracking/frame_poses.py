@@ -41,16 +41,7 @@ class FramePoses:
 def locate_frames(
     video: Video, aim: AIM, detections: Detections | None, progress: Progress
 ) -> FramePoses:
-    """Locate the frames of a video in the world of an AIM.
-
-    Args:
-        video: the video.
-        aim: an AIM of the same ground, made of this video or of another one.
-        detections: agents to leave out of the registration.
-        progress: called with the stage, the frames done and the frames in all.
-
-    Returns:
-        The poses of all frames.
+    """Locate the frames of a video, without agents, in the world of an AIM of the same ground.
 
     Raises:
         RegistrationError: the frames cannot be registered to each other, or not to the AIM.
@@ -99,13 +90,7 @@ def place_reference(
 ) -> tuple[Float[Array, "3 3"], FrameRegistration]:
     """Place a frame in the image of an AIM: by features, then by patches of the AIM as it sees it.
 
-    Args:
-        frame: the frame.
-        aim: an AIM of the same ground.
-        detections: agents to leave out.
-
-    Returns:
-        The transform from the frame's pixels to those of the AIM, and the registration by patches.
+    Gives the transform of the frame's pixels to those of the AIM, and the registration by patches.
 
     Raises:
         RegistrationError: the frame and the AIM do not match.
@@ -143,17 +128,7 @@ def view_aim(
     aim_from_frame: Float[Array, "3 3"],
     size: tuple[int, int],
 ) -> tuple[UInt8[Array, "H W *c"], Array]:
-    """View an AIM as a frame sees it.
-
-    Args:
-        image: of the AIM, grey or RGB.
-        covered: (h, w) which of its pixels are known.
-        aim_from_frame: transform of pixels.
-        size: (height, width) of the frame.
-
-    Returns:
-        The view, and which of its pixels are known.
-    """
+    """View an AIM's image, grey or RGB, as a frame of that (height, width) does."""
     matrix = to_opencv(np.linalg.inv(aim_from_frame))
     view = cv2.warpPerspective(image, matrix, size[::-1], flags=cv2.INTER_LINEAR)
     known = cv2.warpPerspective(

@@ -55,15 +55,9 @@ def place_boxes(
     world_from_frame: Float[Array, "T 3 3"],
     size: tuple[int, int],
 ) -> GroundDetections:
-    """Place the boxes of all frames on the ground.
+    """Place the boxes of all frames, of a (height, width) in pixels, on the ground.
 
-    Args:
-        frames: boxes of each frame; None for a frame without any known.
-        world_from_frame: transform of each frame's pixels to metres; NaN where it is not known.
-        size: (height, width) of the frames, pixels.
-
-    Returns:
-        The detections of the frames whose transform is known.
+    Frames whose boxes (None) or transform from pixels to metres (NaN) are not known are left out.
     """
     known = [
         (step, boxes)

@@ -26,18 +26,11 @@ SLACK_M = 0.3  # by which the middle may come nearer to the rear axle
 def follow_rear_axle(
     path: Float[Array, "T 2"], heading: float, distance: float
 ) -> Float[Array, "T"]:
-    """Compute headings along a path of the box's middle, by the rear axle that follows it.
+    """Compute headings (rad) along a path of the box's middle, by the rear axle that follows it.
 
-    The axle is pulled as by a rope, which may be slack by `SLACK_M`, so that the noise of a
-    standing vehicle does not turn it; where the path goes back further, the heading stays.
-
-    Args:
-        path: the middle, m.
-        heading: heading at the first point, rad.
-        distance: of the rear axle behind the middle, m.
-
-    Returns:
-        Headings, rad.
+    The axle is at a distance (m) behind the middle, with a first heading (rad), and pulled as by a
+    rope, which may be slack by `SLACK_M`, so that the noise of a standing vehicle does not turn it;
+    where the path goes back further, the heading stays.
     """
     headings = np.empty(len(path))
     points = path.tolist()
@@ -62,19 +55,11 @@ def compute_headings(
     length: float,
     facing: float | None = None,
 ) -> Float[Array, "T"] | None:
-    """Compute headings of a vehicle from its smoothed path, in reverse too.
+    """Compute headings of a vehicle from its smoothed path (m, m/s), in reverse too.
 
     Where it turns back at a stop, it changes into or out of reverse. In which pieces of its path it
-    is in reverse follows from its first heading; if that is not known, the shorter ones.
-
-    Args:
-        path: positions of the middle of its box, m.
-        velocity: m/s.
-        length: of the vehicle, m.
-        facing: its heading before it moves, rad; None: not known.
-
-    Returns:
-        Headings, rad; None for a vehicle that does not move.
+    is in reverse follows from what it is facing before it moves (rad); if that is not known, the
+    shorter ones. None for a vehicle that does not move.
     """
     pieces = _find_moving_pieces(path, velocity)
     if not pieces:
@@ -103,15 +88,9 @@ def compute_headings(
 def observe_headings(
     path: Float[Array, "T 2"], length: float, standing: float | None
 ) -> Float[Array, "T"]:
-    """Compute headings of a vehicle from its path until each time.
+    """Compute headings (rad) of a vehicle from its path until each time (m).
 
-    Args:
-        path: positions of the middle of its box as known at each time, m.
-        length: of the vehicle, m.
-        standing: its heading before it moves, rad; None: not known.
-
-    Returns:
-        Headings, rad; NaN until it has moved, if none is known before.
+    They start with what it had while standing; None: with its first move, and are NaN until then.
     """
     distance = REAR_AXLE_SHARE * length
     if standing is not None:

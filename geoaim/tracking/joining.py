@@ -47,17 +47,8 @@ def find_false_ends(
     """Find first and last detections that lie off where the others of their track tell.
 
     A false box beside an agent that is lost or found soon after would turn its velocity there, by
-    which the track is joined and its gap is bridged. Inside a track neighbours correct it.
-
-    Args:
-        motion: smoothed motion of the tracks.
-        rows: of the tracks.
-        detections: of the tracks.
-        sigma: standard deviation of each coordinate, m.
-        times: of the frames, s; where they are seldom, agents do not go on straight.
-
-    Returns:
-        Whether each detection is such a one.
+    which the track is joined and its gap is bridged. Inside a track neighbours correct it. Sigma is
+    that of each coordinate, m. Where frames are seldom, agents do not go on straight, and none is.
     """
     false = np.zeros(len(sigma), bool)
     usual_dt = float(times[1] - times[0]) if len(times) > 1 else np.inf
@@ -89,18 +80,8 @@ def join_tracks(
     that ended and another that began. How far the later one begins, in place and velocity, from
     where the earlier one would then be tells for the first; how often agents begin and end in this
     video, and how many of its tracks are false, for the second. That is counted in what is left
-    unjoined, until joins and counts agree. What stands may be lost for however long.
-
-    Args:
-        motion: smoothed motion of the tracks.
-        rows: of the tracks.
-        types: of the tracks.
-        detections: of the tracks.
-        times: of the frames, s.
-        false: detections that do not count: those of `find_false_ends`.
-
-    Returns:
-        The number of each track's agent, from 0.
+    unjoined, until joins and counts agree. What stands may be lost for however long. Detections of
+    `find_false_ends` do not count. Gives the number of each track's agent, from 0.
     """
     count = len(types)
     first, last = _find_edges(motion, rows, detections, times, ~false)
@@ -176,17 +157,8 @@ def _count_unjoined(
 
     Tracks that neither begin nor end as agents do may be false: how many they are, and how long
     they last, tells how much each of them counts. To every count one is added, so that none is
-    certain.
-
-    Args:
-        first: of the tracks.
-        last: of the tracks.
-        joined: chances that each track goes on in another one, and that it is what goes on.
-        duration: of the video, s.
-        border: share of the detections that are at the frame's border.
-
-    Returns:
-        For the end and the start of each track.
+    certain. `joined` has the chances that each track goes on in another one, and that it is what
+    goes on; `border` is the share of the detections at the frame's border.
     """
     gone, new = 1 - joined[0], 1 - joined[1]
     inside = ~(first.at_border | first.told | last.at_border | last.told)

@@ -71,17 +71,7 @@ def predict(
     dt: float | Float[Array, "n"],
     acceleration_noise: Float[Array, "n"],
 ) -> tuple[Float[Array, "n 2 2"], Float[Array, "n 2 2"]]:
-    """Predict tracks.
-
-    Args:
-        mean: positions (m) and velocities (m/s).
-        covariance: of position and velocity, in one coordinate.
-        dt: how far ahead, s.
-        acceleration_noise: spectral density, m²/s³.
-
-    Returns:
-        Mean and covariance then.
-    """
+    """Predict tracks by `dt` seconds; the noise is a spectral density, m²/s³."""
     ahead, spread = mean.copy(), np.empty_like(covariance)
     ahead[:, 0] += np.asarray(dt)[..., None] * mean[:, 1]
     (place, both), speed = covariance[:, 0].T, covariance[:, 1, 1]
@@ -98,17 +88,7 @@ def update(
     position: Float[Array, "n 2"],
     sigma: Float[Array, "n"],
 ) -> tuple[Float[Array, "n 2 2"], Float[Array, "n 2 2"]]:
-    """Update tracks by measured positions.
-
-    Args:
-        mean: predicted positions (m) and velocities (m/s).
-        covariance: of position and velocity, in one coordinate.
-        position: measured, m.
-        sigma: standard deviation of each of its coordinates, m.
-
-    Returns:
-        Mean and covariance.
-    """
+    """Update predicted tracks by positions, each coordinate with its standard deviation, m."""
     gain = covariance[:, :, 0] / (covariance[:, 0, 0] + sigma**2)[:, None]
     mean = mean + gain[:, :, None] * (position - mean[:, 0])[:, None, :]
     return mean, covariance - gain[:, :, None] * covariance[:, None, 0, :]
@@ -117,16 +97,7 @@ def update(
 def start(
     position: Float[Array, "n 2"], sigma: Float[Array, "n"], speed_sigma: float
 ) -> tuple[Float[Array, "n 2 2"], Float[Array, "n 2 2"]]:
-    """Start tracks at measured positions.
-
-    Args:
-        position: measured, m.
-        sigma: standard deviation of each of its coordinates, m.
-        speed_sigma: of each component of the velocity about 0, m/s.
-
-    Returns:
-        Mean and covariance.
-    """
+    """Start tracks at positions (m, to sigma), with a velocity of 0 to speed_sigma (m/s)."""
     mean = np.stack([position, np.zeros_like(position)], axis=1)
     covariance = np.zeros((len(position), 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = sigma**2, speed_sigma**2
@@ -142,15 +113,8 @@ def filter_tracks(
 ) -> TrackMotion:
     """Filter tracks forward in time: each state knows the measurements until then.
 
-    Args:
-        times: of the steps, seconds, increasing.
-        rows: of the tracks.
-        positions: measured positions, m; NaN where there is none.
-        sigmas: their standard deviations in each coordinate, m.
-        acceleration_noise: spectral density of the acceleration, m²/s³.
-
-    Returns:
-        The motion.
+    Positions (m) are NaN where there is none, with the standard deviation of each coordinate. The
+    noise of acceleration is a spectral density, m²/s³.
     """
     mean, covariance = np.empty((len(rows.step), 2, 2)), np.empty((len(rows.step), 2, 2))
     begin, seen = rows.bounds[:-1], rows.detection >= 0
@@ -173,14 +137,8 @@ def smooth_tracks(
 ) -> TrackMotion:
     """Smooth filtered tracks backward in time, so that each state knows all measurements.
 
-    Args:
-        times: of the steps, seconds, increasing.
-        rows: of the tracks.
-        filtered: what `filter_tracks` gave; it is overwritten, since long videos fill the memory.
-        acceleration_noise: the same as in the filter, m²/s³.
-
-    Returns:
-        The smoothed motion (Rauch, Tung, Striebel 1965).
+    By Rauch, Tung, Striebel (1965), with the noise (m²/s³) of the filter, whose result is
+    overwritten, since long videos fill the memory.
     """
     mean, covariance = filtered.mean, filtered.covariance
     for after in reversed(rows.list_steps()):

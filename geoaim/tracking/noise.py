@@ -20,16 +20,9 @@ def estimate_noise(
 ) -> float:
     """Estimate the standard deviation of a coordinate of boxes' middles, in pixels of the frame.
 
-    From one frame to the next but one a track is nearly straight, so that its second differences
-    are noise alone, of six times the variance of a position.
-
-    Args:
-        detections: detections in order of time.
-        track: number of each detection's agent; -1 for none.
-        times: of the frames, s; where they are seldom, agents are not straight in between.
-
-    Returns:
-        Pixels.
+    From one frame to the next but one a track (-1: none) is nearly straight, so that its second
+    differences are noise alone, of six times the variance of a position. Where frames are seldom,
+    agents are not straight in between, and the default is given.
     """
     if len(times) < 2 or times[1] - times[0] > SLOW_DT:
         return DEFAULT_NOISE_PX
@@ -51,16 +44,8 @@ def estimate_lasting_noise(
     """Estimate the part of the noise of a coordinate of boxes' middles that lasts, in pixels.
 
     Errors of opposite sides are taken for independent, so that half the difference of a box's
-    extent from what it should be scatters as its middle does. What goes beyond the noise between
-    successive frames, lasts.
-
-    Args:
-        residual: extents of whole boxes less those that sizes and headings tell, m.
-        resolution: metres per pixel.
-        noise: that of `estimate_noise`, pixels.
-
-    Returns:
-        Pixels; 0 where it cannot be told.
+    extent from what it should be (m) scatters as its middle does. What goes beyond the noise
+    between successive frames (pixels), lasts.
     """
     if len(residual) < MIN_TRIPLES:
         return 0.0

@@ -24,15 +24,8 @@ def draw_on_video(
 ) -> Iterator[UInt8[Array, "H W 3"]]:
     """Draw outlines of the agents, white at their fronts, and their trails on a video's frames.
 
-    Args:
-        video: the video.
-        poses: where its frames lie; on one that is not known nothing is drawn.
-        tracks: of the agents; a picture for each of their times.
-        height: of the pictures, pixels.
-        trail: duration of the trails, seconds.
-
-    Yields:
-        (H, W, 3) the frame nearest to each time, RGB, with even sides.
+    Yields the frame nearest to each time of the tracks, RGB, with even sides and of this height;
+    on one whose pose is not known nothing is drawn. Trails last for so many seconds.
     """
     nearest = np.abs(tracks.times[:, None] - poses.times).argmin(axis=1)
     waiting = iter(zip(range(len(nearest)), nearest.tolist(), strict=True))

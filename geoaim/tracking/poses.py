@@ -48,18 +48,7 @@ def compute_poses(
     detections: GroundDetections,
     lanes: Directions | None,
 ) -> Poses:
-    """Compute headings and speeds from smoothed motion.
-
-    Args:
-        smoothed: the motion of the agents.
-        rows: of the agents.
-        agents: their types and sizes.
-        detections: all detections.
-        lanes: directions of lanes, for vehicles that stand; None: not known.
-
-    Returns:
-        The poses.
-    """
+    """Compute headings and speeds from smoothed motion; lanes tell those of vehicles that stand."""
     heading, sigma = np.empty(len(rows.step)), np.empty(len(rows.step))
     turning = np.array([turns_on_spot(kind) for kind in agents.types], bool)
     for agent, part in enumerate(rows.list_parts()):
@@ -91,17 +80,10 @@ def turns_on_spot(kind: str) -> bool:
 def observe_states(
     filtered: TrackMotion, rows: TrackRows, agents: AgentTraits, standing: Float[Array, "N"]
 ) -> Float[Array, "S 5"]:
-    """Compute the states that are known at each time.
+    """Compute the states that are known at each time, and the deviations of their speeds, m/s.
 
-    Args:
-        filtered: motion that knows the detections until each time.
-        rows: of the agents.
-        agents: their types and sizes.
-        standing: heading of each vehicle before it moves, rad; NaN if it is unknown.
-
-    Returns:
-        The states, with the standard deviations of their speeds, m/s; NaN where the heading is not
-        known yet.
+    The motion knows the detections until each time. `standing` is the heading of each vehicle
+    before it moves, rad, NaN if it is unknown. A row is NaN where the heading is not known yet.
     """
     observed = np.full((len(rows.step), 5), np.nan)
     for agent, part in enumerate(rows.list_parts()):
@@ -157,15 +139,9 @@ def _compute_vehicle_headings(
 def find_heading_errors(
     error: Float[Array, "n"], speed: Float[Array, "n"], length: float | Float[Array, "n"]
 ) -> Float[Array, "n"]:
-    """Find by how much errors of a vehicle's middle turn it.
+    """Find by how much errors of a vehicle's middle (standard deviations, m) turn it, rad.
 
-    Args:
-        error: standard deviations of the middle across its way, m.
-        speed: m/s.
-        length: of the vehicle, m.
-
-    Returns:
-        Standard deviations of its heading, rad.
+    It depends on its speed (m/s), and its length (m).
     """
     share = np.where(np.abs(speed) > MOVING_SPEED, MOVING_SHARE, STILL_SHARE)
     return share * error / np.maximum(REAR_AXLE_SHARE * length, 0.1)
@@ -174,16 +150,9 @@ def find_heading_errors(
 def find_standing(
     detections: GroundDetections, seen: Int[Array, " m"], kind: str, lanes: Directions | None
 ) -> tuple[float, float]:
-    """Find the heading of a vehicle where it stands, and its standard deviation, rad.
+    """Find the heading of a vehicle of a kind where it stands, and its standard deviation, rad.
 
-    Args:
-        detections: all detections.
-        seen: which are of the vehicle.
-        kind: its type.
-        lanes: directions of lanes; None: not known.
-
-    Returns:
-        As `find_standing_heading`, but for oriented boxes, which tell its line.
+    As `find_standing_heading` by its detections, but for oriented boxes, which tell its line.
     """
     middle = np.median(detections.position[seen], axis=0)
     extent = np.median(detections.extent[seen], axis=0)

@@ -52,18 +52,10 @@ def correct_roofs(
 ) -> GroundDetections:
     """Correct boxes on the ground for roofs, which lean away from below the camera.
 
-    The camera looks straight down from above the middle of the frame. A box holds an agent's base
-    and its roof, which is smaller, and leans outwards by its height over that of the camera above
-    it. Where the roof ends further out than the base, the box ends with it, and goes back.
-
-    Args:
-        detections: on the ground.
-        world_from_frame: transform of each frame's pixels to metres.
-        size: (height, width) of the frames, pixels.
-        flying_height: of the camera above the ground, m.
-
-    Returns:
-        The detections, which state how far off the correction may be.
+    The camera looks straight down from above the middle of the frame, `flying_height` metres above
+    the ground. A box holds an agent's base and its roof, which is smaller, and leans outwards by
+    its height over that of the camera above it. Where the roof ends further out than the base, the
+    box ends with it, and goes back. The detections then state how far off the correction may be.
     """
     below = _find_below(detections.step, world_from_frame, size)
     known = np.where(np.isin(detections.types, list(ROOFS)), detections.types, OTHER)

@@ -39,14 +39,10 @@ def check_scale(tracks: Tracks, aim: AIM) -> float | None:
 
 
 def measure_scale_error(tracks: Tracks, aim: AIM) -> float | None:
-    """Measure by the sizes of vehicles whether the scale of a map can be right, if it is assumed.
+    """Measure how much too small (above 1) or large an assumed scale is; None: it may be right.
 
-    Args:
-        tracks: agents whose types follow from their sizes.
-        aim: the map; control points or imagery tell the scale, telemetry or a user assumes it.
-
-    Returns:
-        By how much the scale is too small (above 1) or too large; None: it may be right.
+    Control points or imagery tell a scale, telemetry or a user assumes it. The types of the tracks
+    follow from their sizes.
     """
     georeference = aim.report.get("georeference", {})
     if not georeference.get("approximate", False):

@@ -43,14 +43,7 @@ def get_typical_size(kind: str) -> tuple[float, float]:
 
 
 def predict_extents(size: Float[Array, "2"], turn: Float[Array, "*m"]) -> Float[Array, "*m 2"]:
-    """Predict the sides of the upright boxes about an agent that is turned in them.
-
-    Args:
-        size: length and width, m.
-        turn: heading relative to the box's first side, rad.
-
-    Returns:
-        Extents along the first side and across it, m.
+    """Predict the sides (m) of upright boxes about an agent that is turned (rad) in them.
 
     >>> predict_extents(np.array([4.0, 2.0]), np.array([0.0, np.pi / 2])).round(6)
     array([[4., 2.],
@@ -63,19 +56,11 @@ def predict_extents(size: Float[Array, "2"], turn: Float[Array, "*m"]) -> Float[
 def estimate_size(
     extent: Float[Array, "m 2"], turn: Float[Array, "m"], sigma: float, kind: str
 ) -> Float[Array, "2"]:
-    """Estimate length and width from the extents of many boxes, by robust least squares.
+    """Estimate length and width (m) from the extents of many boxes, by robust least squares.
 
-    Upright boxes about a turned agent are larger than it (`predict_extents`); at 45° they only tell
-    the sum of length and width, which the typical size of the type then divides.
-
-    Args:
-        extent: sides of the boxes, m.
-        turn: headings relative to the boxes' first sides, rad.
-        sigma: standard deviation of a side, m.
-        kind: agent type, whose typical size counts where boxes do not tell.
-
-    Returns:
-        Length and width, m.
+    Upright boxes about a turned agent (rad) are larger than it (`predict_extents`); at 45° they
+    only tell the sum of length and width, which the typical size of the type then divides, as
+    it does where boxes do not tell. Sigma is that of a side.
     """
     prior = np.array(get_typical_size(kind))
     cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
@@ -103,15 +88,8 @@ def vote_type(
 ) -> str:
     """Choose the type that a detector gave most often; without any, the one that fits its boxes.
 
-    Args:
-        types: of the boxes, "" where the detector gave none.
-        extent: their sides, m.
-        turn: headings relative to the boxes' first sides, rad; None: any may be.
-        resolution: metres per pixel. Beyond `MAX_SMALL_RESOLUTION` only vehicles are several pixels
-            wide, and what is smaller is a part of one.
-
-    Returns:
-        The type.
+    `turn` is that of the agent in its boxes, rad; None: any. Beyond `MAX_SMALL_RESOLUTION` metres
+    per pixel only vehicles are several pixels wide, and what is smaller is a part of one.
     """
     named = Counter(kind for kind in types if kind)
     if named:

@@ -33,19 +33,11 @@ def find_standing_heading(
     size: tuple[float, float],
     lanes: Directions | None,
 ) -> tuple[float, float]:
-    """Find the heading of a vehicle that stands all the time.
+    """Find the heading of a vehicle that stands all the time, and its standard deviation, rad.
 
-    Args:
-        position: of its middle, m.
-        axis: direction of its boxes' first side, rad.
-        extent: sides of its boxes, m.
-        size: typical length and width of its type, m.
-        lanes: directions of lanes; None: not known.
-
-    Returns:
-        Heading and its standard deviation, rad. Without a lane at its place the heading is
-        that of the box's longer axis, which may as well be the opposite: `LINE_SIGMA_RAD`. A box
-        that is too wide for that is turned to either side: `UNKNOWN_SIGMA_RAD`.
+    Its boxes have an axis (rad) and sides, its type a size (m). Without a lane at its place the
+    heading is that of the box's longer axis, which may as well be the opposite: `LINE_SIGMA_RAD`. A
+    box that is too wide for that is turned to either side: `UNKNOWN_SIGMA_RAD`.
     """
     here = None if lanes is None else _average_directions(lanes, position)
     if here is not None:

@@ -50,17 +50,7 @@ def make_states(
     What was observed is filtered as the frames came. Then tracks of one agent are joined, and the
     middle of each agent moves at constant velocity but for white noise in its acceleration; a first
     pass gives headings, by these sizes, and by these the middles of boxes that the frame's border
-    cuts off, which a second pass uses.
-
-    Args:
-        detections: detections of agents.
-        tracklets: their tracks as the frames came; each detection belongs to one.
-        times: of the frames, s.
-        world: the plane of the positions.
-        lanes: directions of lanes, for vehicles that never move; None: not known.
-
-    Returns:
-        The tracks, from each agent's first detection to its last.
+    cuts off, which a second pass uses. Lanes tell the headings of vehicles that never move.
     """
     rows, track, observed = _observe(detections, tracklets, times, lanes)
     at = np.zeros(len(track), int)  # the row of each detection; any of one that is left out

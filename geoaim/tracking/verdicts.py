@@ -77,14 +77,7 @@ def judge_scale(aim: AIM, tracks: Tracks | None) -> Verdict:
 def judge_tracks(
     interval: float, unused: float, warnings: Sequence[str], *, boxes_given: bool
 ) -> Verdict:
-    """Judge tracks by how often frames come, by what was left unused, and by what was warned of.
-
-    Args:
-        interval: time between frames, s.
-        unused: share of the boxes that are in no track.
-        warnings: of the tracking.
-        boxes_given: whether a detector's boxes were given.
-    """
+    """Judge tracks by the seconds between frames, the share of unused boxes, and warnings."""
     text = f"frames are {interval:.2g} s apart"
     if interval > MAX_GAP_S and not boxes_given:
         lost = f"what is not seen for {MAX_GAP_S} s is lost, so that tracks join what is not one"

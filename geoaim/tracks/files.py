@@ -19,8 +19,9 @@ import csv
 import json
 import os
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
+from datetime import datetime
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
@@ -111,9 +112,12 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
     min_dt = MIN_CSV_DT_S if suffix == ".csv" else 1 / TICKS_PER_S
     if dt < min_dt * (1 - 1e-6):  # times are rounded
         raise TracksError(f"{path}: times are {dt:.1g} s apart; {suffix} needs {min_dt:g} s")
-    write = _write_csv if suffix == ".csv" else _write_parquet
     with atomic_write(path) as temporary:
-        write(tracks, temporary)
+        if suffix == ".csv":
+            _write_csv(tracks, temporary)
+        else:
+            places = tracks.get_rows("states")[:, :2]
+            _write_parquet(tracks.iterate_dataframes(PART_ROWS), tracks.world, places, temporary)
 
 
 def read_plain_tracks(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:
@@ -348,18 +352,47 @@ def _read_parquet(path: Path, world: World | None) -> tuple[pd.DataFrame, World]
     return table, own
 
 
-def _write_parquet(tracks: Tracks, path: Path) -> None:
+def write_dated_tracks(
+    recordings: Mapping[str, tuple[Tracks, datetime]], path: str | os.PathLike[str]
+) -> None:
+    """Write the tracks of several recordings of one world into one GeoParquet, with their dates.
+
+    An agent's id is RECORDING/ID; `time` counts from the start of the first recording. Observed
+    states and uncertainties are left out, since not all recordings may have them.
+
+    Args:
+        recordings: tracks and the date and time at which their `time` is 0, by name.
+        path: the .parquet file.
+    """
+    begin = min(start for _, start in recordings.values())
+
+    def iterate_frames() -> Iterator[pd.DataFrame]:
+        for name, (tracks, start) in recordings.items():
+            for frame in tracks.iterate_dataframes(PART_ROWS):
+                clock = pd.to_timedelta((frame["time"] * 1e6).round(), unit="us")
+                frame = frame[list(COLUMNS)].assign(recording=name, datetime=start + clock)
+                frame["id"] = f"{name}/" + frame["id"]
+                frame["time"] += (start - begin).total_seconds()
+                yield frame
+
+    every = [tracks for tracks, _ in recordings.values()]
+    places = np.concatenate([tracks.get_rows("states")[:, :2] for tracks in every])
+    with atomic_write(path) as temporary:
+        _write_parquet(iterate_frames(), every[0].world, places, temporary)
+
+
+def _write_parquet(
+    frames: Iterable[pd.DataFrame], world: World, places: Float[Array, "m 2"], path: Path
+) -> None:
     import pyarrow
     import pyarrow.parquet as parquet
 
-    world = tracks.world
     stated = {"crs": world.crs or LOCAL_CRS, "origin": world.origin, "format": PARQUET.newest}
     metadata = {METADATA_KEY: json.dumps(stated), b"geoaim_checksum": PLACEHOLDER}
-    places = tracks.get_rows("states")[:, :2]
     metadata[b"geo"] = json.dumps(_describe_geometry(places, world))
     with ExitStack() as opened:
         writer = None
-        for frame in tracks.iterate_dataframes(PART_ROWS):
+        for frame in frames:
             table = pyarrow.Table.from_pandas(frame, preserve_index=False)
             points = shapely.to_wkb(shapely.points(frame[["x", "y"]].to_numpy() + world.origin))
             table = table.append_column(GEOMETRY, pyarrow.array(points, pyarrow.binary()))

@@ -5,7 +5,6 @@ import av
 import pystac
 import pytest
 from distributed import LocalCluster
-from matplotlib.figure import Figure
 from rasterio._err import CPLE_OutOfMemoryError
 from rasterio.errors import RasterioIOError
 from typer.testing import CliRunner
@@ -36,22 +35,6 @@ from geoaim.cli import app
 from geoaim.mapping import build_map
 
 run = CliRunner().invoke
-
-
-@pytest.fixture
-def in_process(monkeypatch):
-    """Build without Dask and with empty quick looks, which are quick; list what is built."""
-    built: list[str] = []
-    monkeypatch.setattr(build_map, "draw_quicklook", lambda aim: Figure(figsize=(1, 1)))
-
-    def run_tasks(tasks, cluster, progress):
-        for task in tasks:
-            record = build_recording(task)
-            built.append(record.name)
-            yield record
-
-    monkeypatch.setattr(catalog_pipeline, "run_tasks", run_tasks)
-    return built
 
 
 def test_a_catalogue_has_maps_items_an_index_and_a_report(table, tmp_path, in_process):

@@ -29,16 +29,6 @@ def test_scenario_has_the_lanes_and_lights_of_the_map(tmp_path):
     assert geoaim.tracks.formats.read_scenarionet_lights(path) is not None
 
 
-def test_geotrax_needs_to_be_named(tmp_path):
-    path = tmp_path / "a.csv"
-    result = run(app, ["convert", SAMPLE, "-o", str(path), "--to", "geo-trax", "--rate", "5"])
-    assert result.exit_code == 0, result.output
-    words = " ".join(result.output.split())
-    assert "30 agents are left out" in words
-    assert "34 agents at" in words
-    assert path.read_text().startswith("Vehicle_ID,")
-
-
 def test_tables_in_pixels_are_converted(tmp_path):
     path = tmp_path / "pixels.csv"
     path.write_text("id,frame,x,y,type\n" + "".join(f"a,{k},{k},10,car\n" for k in range(9)))
@@ -51,8 +41,7 @@ def test_tables_in_pixels_are_converted(tmp_path):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (["-o", "a.xyz"], "give a name that ends in .csv, .parquet, .gpkg"),
-        (["-o", "a.gpkg", "--to", "plain"], "give a name that ends in .csv or .parquet"),
+        (["-o", "a.xyz"], "give a name that ends in .csv, .parquet or .gpkg"),
         (["-o", "a.csv", "--start", "900"], "no agent is present from 900"),
         (["-o", "a", "--rate", "5"], "not at 10 Hz throughout"),
     ],

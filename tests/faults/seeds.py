@@ -117,12 +117,6 @@ TABLES = {
             for k in range(4)
         ]
     ),
-    "cvat.xml": '<annotations><version>1.1</version><track id="0" label="car">'
-    + "".join(
-        f'<box frame="{k}" outside="0" xtl="{5 + k}" ytl="10" xbr="{15 + k}" ybr="20"/>'
-        for k in range(4)
-    )
-    + "</track></annotations>",
     "futures.csv": "sample,time,id,x,y\n"
     + "".join(f"{s},{k / 10},1,{185 + k},{235 + s}\n" for s in (0, 1) for k in range(4)),
     "catalog.csv": "video,name,datetime\nvideo.mp4,a,2024-05-01T10:00:00Z\nvideo.mkv,b,\n",

@@ -22,7 +22,6 @@ from geoaim.tracks.lights import read_light_changes
 from tests.faults.seeds import make_aim
 
 FRAME = Frame(0, 0.0, "000000", np.zeros((48, 64), np.uint8))
-BOX = 'frame="0" xtl="1" ytl="2" xbr="30" ybr="20"'
 WINDOW = "frame,track,u_px,v_px\n" + "".join(f"{12 * k},1,{k},2\n" for k in range(20))
 HUGE = "9" * 5000  # more digits than Python makes a number of
 
@@ -31,11 +30,6 @@ def read_boxes(path: Path):
     return read_detections(path)(FRAME)
 
 
-def cvat(box: str) -> str:
-    return f'<annotations><track id="0" label="car"><box {box}/></track></annotations>'
-
-
-DOTA = "imagesource:x\ngsd:0.1\n{} 10 30 10 30 20 10 20 small-vehicle 0\n"
 POINTS = "u,v,x,y,crs\n"
 TRACKS = "# crs: local\nid,type,time,x,y,heading,speed,length,width\n"
 CASES = {  # the file at fault, its content, what reads it, and what is read if it is another one
@@ -45,18 +39,8 @@ CASES = {  # the file at fault, its content, what reads it, and what is read if 
     "a point's infinity": ("p.csv", f"{POINTS}inf,2,3,4,local\n", read_control_points),
     "a point's CRS": ("p.csv", f"{POINTS}1,2,3,4,EPSG:{HUGE}\n", read_control_points),
     "covariance": ("p.csv", f"# shared covariance: 1 9 1\n{POINTS}1,2,3,4,local\n", None),
-    "typo in DOTA": ("b/000001.txt", DOTA.format("1O"), read_boxes, "b"),
-    "DOTA of Latin-1": ("b/000001.txt", DOTA.format("é").encode("latin-1"), read_boxes, "b"),
-    "digits in DOTA": ("b/000001.txt", DOTA.format("1e999x"), read_boxes, "b"),
     "typo in YOLO": ("b/000001.txt", "0 O.5 0.5 0.1 0.1\n", read_boxes, "b"),
     "YOLO in pixels": ("b/000001.txt", "0 50 50 10 10\n", read_boxes, "b"),
-    "typo in VisDrone": ("b/000001.txt", "1,2,3,4,1,4,0,O\n", read_boxes, "b"),
-    "short row of VisDrone": ("b/000001.txt", "1,2,3,4,1,4,0\n", read_boxes, "b"),
-    "CVAT's rotation": ("c.xml", cvat(f'{BOX} rotation="inf"'), read_boxes),
-    "CVAT's side": ("c.xml", cvat(BOX.replace("30", "nan")), read_boxes),
-    "CVAT's negative frame": ("c.xml", cvat(BOX.replace('"0"', '"-5"')), read_boxes),
-    "CVAT's infinite frame": ("c.xml", cvat(BOX.replace('"0"', '"1e999"')), read_boxes),
-    "CVAT without a side": ("c.xml", cvat(BOX.replace("xbr", "x")), read_boxes),
     "MOT's negative frame": ("m.txt", "-5,1,1,2,9,9,1,-1,-1,-1\n" * 2, read_boxes),
     "COCO without boxes": ("c.json", '{"annotations": [{"image_id": 1}], "images": []}', None),
     "JSON of digits": ("c.json", f"[{HUGE}]", read_boxes),
@@ -148,9 +132,9 @@ def test_a_texture_with_a_malformed_place_is_refused_by_all_alike(name, tmp_path
 
 
 def test_two_boxes_with_one_id_in_a_frame_are_said(tmp_path):
-    path = tmp_path / "c.xml"
-    path.write_text(cvat(f"{BOX}/><box {BOX}"))
-    with pytest.warns(match=r"c\.xml: 1 boxes have the id of another one .* '0' at frame 0"):
+    path = tmp_path / "m.txt"
+    path.write_text("1,0,1,2,9,9,1\n" * 2)
+    with pytest.warns(match=r"m\.txt: 1 boxes have the id of another one .* '0' at frame 1"):
         read_boxes(path)
 
 

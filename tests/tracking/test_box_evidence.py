@@ -65,8 +65,6 @@ def stabilise(step):
         (lambda step: find_ends(step) if step % 5 == 0 else None, ""),
         (lambda step: find_ends(step)[:, [1, 0, 3, 2]], "x and y exchanged"),
         (lambda step: turn_over(find_ends(step)), "y counts from the bottom"),
-        (lambda step: WIDTH - find_ends(step)[:, [2, 1, 0, 3]] * [1, -1, 1, -1] - [0, WIDTH] * 2,
-         "x counts from the right"),
         (lambda step: pad(find_ends(step)), "a square to which frames were padded"),
         (stabilise, "stabilised"),
         (lambda step: find_ends(step - 12) if step >= 12 else None, "1[123] frames earlier"),

@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -17,7 +18,7 @@ from geoaim.detection.network import Peaks
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.association import Tracklets
-from geoaim.tracking.find_vehicles import _weigh, keep_certain, search_frames
+from geoaim.tracking.find_vehicles import _choose, _weigh, keep_certain, search_frames
 from geoaim.tracking.frame_poses import locate_frames
 from geoaim.tracking.ground_detections import place_boxes
 
@@ -84,19 +85,19 @@ def test_frames_that_are_registered_badly_are_not_compared(aim, video, poses):
         search_frames(video, aim, replace(poses, registration=doubtful))
 
 
-def weigh(logits, excess, lengths=(16.0, 16.0), second=(60.0, 20.0)):
+def weigh(logits, excess, lengths=(16.0, 16.0), second=(60.0, 20.0), in_frame=2):
     """Weigh two boxes of 16 x 7 pixels; in the second the frame differs from the map so much."""
     centres = np.array([[20.0, 20.0], second])
     picture = np.ones((40, 80), np.float32)
     picture[:, 40:] = excess
     widths = np.full(2, 7.0)
     peaks = Peaks(centres, np.zeros(2), np.array(lengths), widths, np.array(logits))
-    return _weigh(peaks, picture, np.array([0.5, 0.5]))
+    return _choose(peaks, _weigh(peaks, picture, in_frame), np.array([0.5, 0.5]))
 
 
 def test_what_differs_from_the_map_is_more_probably_a_vehicle():
-    assert len(weigh([-0.2, -0.2], 1.0).boxes) == 0
-    moved = weigh([-0.2, -0.2], 12.0)
+    assert len(weigh([-1.2, -1.2], 1.0).boxes) == 0
+    moved = weigh([-1.2, -1.2], 12.0)
     np.testing.assert_allclose(moved.get_corners().mean(axis=1), [[120, 40]])  # of a whole frame
     assert moved.scores[0] > 0.8
     sure = weigh([1.0, 1.0], 12.0)
@@ -105,6 +106,22 @@ def test_what_differs_from_the_map_is_more_probably_a_vehicle():
 
 def test_difference_alone_is_no_vehicle():
     assert len(weigh([-4.0, -4.0], 10.0).boxes) == 0
+
+
+def test_what_is_seen_in_the_difference_has_moved():
+    seen, apart = weigh([-1.2, -1.2], 1.0, in_frame=1), weigh([-1.2, -0.2], 1.0, in_frame=1)
+    assert (len(seen.boxes), len(apart.boxes)) == (0, 1)
+    np.testing.assert_allclose(apart.get_corners().mean(axis=1), [[120, 40]])
+
+
+def test_vehicles_almost_as_the_ground_are_found_by_the_difference(aim, video, poses):
+    faded, size = [], (video.width, video.height)
+    for frame, matrix in zip(video, poses.world_from_frame, strict=True):
+        frame_from_aim = np.linalg.inv(matrix) @ aim.world_from_image
+        view = cv2.warpPerspective(aim.image, frame_from_aim, size)
+        faded.append(np.asarray(0.2 * frame.image + 0.8 * view, np.uint8))
+    distance = find_distances(aim, open_video(faded, rate=video.rate), poses)
+    assert (distance < 1.2).mean() > 0.7
 
 
 def test_a_shadow_beside_a_vehicle_is_no_second_one():

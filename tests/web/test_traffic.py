@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shapely import Polygon, contains_xy
 
-from geoaim.web.explore import make_map_view
+from geoaim.base.world import World
+from geoaim.web.explore import Contents, make_map_view
 from tests.web.browser import open_view, serve, wait_for
 from tests.web.test_interaction import cut_picture, find_colour, locate
 
@@ -129,7 +131,7 @@ def test_counts_over_a_drawn_line_are_those_of_the_tracks(shown, contents):
     a, b = (shown.evaluate(f"geoaim.map.getCoordinateFromPixel([{x}, {y}])") for x, y in ends)
     expected = count_crossings(contents.tracks, a, b)
     assert min(Counter(side for _, side in expected.elements()).values()) > 1
-    text = shown.locator(".counts").inner_text()
+    text = shown.locator(".counts:visible").inner_text()
     for side, words in (("A", "A → B: "), ("B", "B → A: ")):
         assert f"{words}{sum(n for (_, s), n in expected.items() if s == side)} (" in text
     with shown.expect_download() as waiting:
@@ -144,6 +146,61 @@ def test_counts_over_a_drawn_line_are_those_of_the_tracks(shown, contents):
         states = contents.tracks.states[agent, [step - 1, step]]
         assert np.linalg.norm(states[:, :2] - [float(row["x"]), float(row["y"])], axis=1).max() < 3
         assert min(states[:, 3]) - 0.01 <= float(row["speed_m_s"]) <= max(states[:, 3]) + 0.01
+
+
+def draw_shape(page, tool, corners):
+    page.get_by_label(tool).check()
+    for x, y in corners:
+        page.mouse.click(x, y)
+        page.wait_for_timeout(400)  # a quick second click would be a double click
+    find = "([x, y]) => geoaim.map.getCoordinateFromPixel([x, y])"
+    return [page.evaluate(find, corner) for corner in corners]
+
+
+def list_visits(tracks, corners):
+    """Who was in a polygon, from when until when."""
+    inside = contains_xy(Polygon(corners), tracks.states[..., 0], tracks.states[..., 1])
+    found = []
+    for name, here, present in zip(
+        tracks.ids, inside & tracks.present, tracks.present, strict=True
+    ):
+        edges = np.diff(np.r_[0, here.astype(int), 0])
+        for first, last in zip(
+            np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1, strict=True
+        ):
+            whole = first > 0 and present[first - 1] and last + 1 < len(here) and present[last + 1]
+            found.append((name, tracks.times[first], tracks.times[last], bool(whole)))
+    return sorted(found, key=lambda visit: (visit[1], visit[0]))
+
+
+def test_visits_of_a_drawn_zone_are_those_of_the_tracks(shown, contents):
+    corners = (330, 250), (700, 230), (660, 480), (300, 440)
+    zone = draw_shape(shown, "count in a zone", corners)
+    shown.mouse.click(*corners[0])
+    expected = list_visits(contents.tracks, zone)
+    assert {whole for *_, whole in expected} == {True, False}
+    agents = {name for name, *_ in expected}
+    assert f"in the zone: {len(agents)} (" in shown.locator(".counts:visible").inner_text()
+    with shown.expect_download() as waiting:
+        shown.get_by_role("button", name="save visits.csv").click()
+    rows = list(csv.DictReader(io.StringIO(Path(waiting.value.path()).read_text("utf-8"))))
+    visits = [
+        (row["id"], float(row["entered"]), float(row["left"]), row["whole"] == "true")
+        for row in rows
+    ]
+    assert sorted(visits, key=lambda visit: (visit[1], visit[0])) == expected
+
+
+def test_a_known_length_gives_the_scale_of_a_map_without_a_crs(page, aim):
+    view = make_map_view(replace(aim, world=World(None)), Contents(), ExitStack())
+    with serve(view) as address:
+        open_view(page, address)
+        a, b = draw_shape(page, "measure", [(300, 300), (500, 300)])
+        page.get_by_label("its true length, m").fill("10")
+        wanted = 0.2 * 10 / np.hypot(a[0] - b[0], a[1] - b[1])  # 0.2 m a pixel is the map's
+        text = page.locator(".counts:visible code").inner_text()
+        assert float(text.split()[-1]) == pytest.approx(wanted, rel=0.002)
+        assert "--frame-resolution" in text
 
 
 def test_who_waits_on_the_line_is_not_counted_twice(shown):

@@ -55,7 +55,8 @@ def place_by_imagery(
         aim: the map, by telemetry; or of about the right scale in a local plane, with `near`.
         imagery: what `read_imagery` takes, or an AIM.
         near: latitude and longitude of about the map's middle, degrees, to within 35 m; the
-            direction of north may then be any.
+            direction of north may then be any. None: where the map lies, or, if it or an AIM as
+            imagery is in a local plane, about the middle of that AIM.
         accuracy: standard deviation of the imagery's own place, metres; with 0 it counts as right.
             None: as the report of an AIM states it, else 2.5 m, of web tiles 4.8 m.
         progress: called with the stage, how much is done and how much there is.
@@ -70,7 +71,7 @@ def place_by_imagery(
         ImageryError: the imagery cannot be read.
         ValueError: a map in a local plane has no `near`.
     """
-    rough, prior = _move_near(aim, near)
+    rough, prior = _move_near(aim, near, imagery if isinstance(imagery, AIM) else None)
     margin = 1.5 * prior.max_shift
     region = np.stack([rough.corners.min(axis=0) - margin, rough.corners.max(axis=0) + margin])
     if isinstance(imagery, AIM):
@@ -109,6 +110,23 @@ def place_by_imagery(
     return replace(straight, world_from_image=place.world_from_image, report=report)
 
 
+def parse_near(text: str) -> tuple[float, float]:
+    """Parse latitude and longitude, degrees, with a comma or a space between them.
+
+    >>> parse_near("49.99,36.23")
+    (49.99, 36.23)
+    """
+    try:
+        latitude, longitude = map(float, text.replace(",", " ").split())
+    except ValueError:
+        raise ValueError(
+            f"near {text!r} is not latitude,longitude in degrees, such as 49.99,36.23"
+        ) from None
+    if not (abs(latitude) <= 90 and abs(longitude) <= 180):
+        raise ValueError(f"near {text!r}: a latitude is at most 90, a longitude at most 180")
+    return latitude, longitude
+
+
 def check_near(imagery: Source | Sequence[Source], near: tuple[float, float]) -> None:
     """Check before any work that imagery shows a place; that of a tile service is not known.
 
@@ -136,21 +154,26 @@ def check_near(imagery: Source | Sequence[Source], near: tuple[float, float]) ->
     )
 
 
-def _move_near(aim: AIM, near: tuple[float, float] | None) -> tuple[AIM, Prior]:
+def _move_near(
+    aim: AIM, near: tuple[float, float] | None, reference: AIM | None
+) -> tuple[AIM, Prior]:
     """Move the middle of a map to where it is said to be; with how far off it may be then."""
-    if near is None:
-        if aim.world.crs is None:
-            raise ValueError(
-                "the map has no place in the world; give near=(latitude, longitude) (--near)"
-            )
+    if near is not None:
+        lonlat = np.array([[near[1], near[0]]])
+        world = choose_world(lonlat)
+        there = world_from_lonlat(world, lonlat)[0]
+    elif aim.world.crs is not None and (reference is None or reference.world.crs is not None):
         return aim, BY_TELEMETRY
-    lonlat = np.array([[near[1], near[0]]])
-    world = choose_world(lonlat)
+    elif reference is not None:  # of the same place, so that their middles lie close
+        world, there = reference.world, reference.corners.mean(axis=0)
+    else:
+        raise ValueError(
+            "the map has no place in the world; give near=(latitude, longitude) (--near)"
+        )
     height, width = aim.coverage.shape
     middle = transform_points(aim.world_from_image, np.array([[width / 2, height / 2]]))[0]
-    shift = world_from_lonlat(world, lonlat)[0] - middle
     report = {name: value for name, value in aim.report.items() if name not in (*CLAIMS, "place")}
-    matrix = translation(*shift) @ aim.world_from_image
+    matrix = translation(*(there - middle)) @ aim.world_from_image
     return replace(aim, world=world, world_from_image=matrix, report=report), NEAR
 
 

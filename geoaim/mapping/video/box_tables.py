@@ -21,7 +21,6 @@ BOX = ("left", "top", "right", "bottom")
 MAX_TIME_OFFSET_S = 0.5  # of a frame from the boxes that are nearest in time
 TIME_UNITS = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}  # in a second
 MIN_REGULAR = 5  # numbers of frames that tell their stride
-SLACK = 1.05  # by which times may exceed the video's duration
 MIN_COVERED = 0.6  # share of the video's frames before the last one with boxes; fewer are odd
 
 
@@ -133,17 +132,13 @@ def place_numbers(
 
 
 def place_times(
-    groups: FrameRows, *, frames: FrameList | None, source: str | Path, unit: str | None
+    groups: FrameRows, *, frames: FrameList | None, source: str | Path, unit: str
 ) -> FrameRows:
     """Place rows that are grouped by time: those of each time belong to the nearest frame."""
     known = None if frames is None else frames.times
     times, remarks = groups.numbers, []
     if times is None or not len(times):
         return groups
-    if unit is None:
-        unit = "s" if known is None else _find_unit(times, float(known[-1]))
-        if unit != "s":
-            remarks.append(f"its times are taken to be in {unit}")
     times, stride = times / TIME_UNITS[unit], groups.stride / TIME_UNITS[unit]
     if known is None or frames is None:
         return replace(groups, numbers=times, stride=stride, by_time=True)
@@ -154,8 +149,8 @@ def place_times(
     if not usable.any():
         raise GeoaimError(
             f"{source} has boxes of {times.min():g} to {times.max():g} s, and {frames.source} "
-            f"lasts {known[-1]:.1f} s: none is of a frame; give times since the first frame, or "
-            "--rate"
+            f"lasts {known[-1]:.1f} s: none is of a frame; give seconds since the first frame, "
+            "name the column time_ms, time_us or time_ns, or give --rate"
         )
     chosen = np.lexsort((distance, nearest))
     chosen = chosen[usable[chosen]]
@@ -165,7 +160,8 @@ def place_times(
     if late:
         remarks.append(
             f"{late} boxes are of times after the video's end ({known[-1]:.1f} s), up to "
-            f"{times[-1]:.1f} s, and are left out: are they of this video?"
+            f"{times[-1]:.1f} s, and are left out: are they of this video, and in seconds (a "
+            "column time_ms holds others)?"
         )
     count = sum(map(len, groups.rows)) - late
     if unused := count - sum(map(len, rows)):
@@ -173,16 +169,6 @@ def place_times(
     numbers = nearest[chosen].astype(float)
     stride = stride if np.isinf(stride) else max(find_stride(numbers), 1.0)
     return FrameRows(None, numbers, rows, stride, remarks=tuple(remarks))
-
-
-def _find_unit(times: Float[Array, "m"], duration: float) -> str:
-    """Find the unit in which times fill the video; seconds where they do so."""
-    longest = float(times.max(initial=0.0))
-    if longest <= SLACK * duration + MAX_TIME_OFFSET_S:
-        return "s"
-    limit = SLACK * duration
-    fitting = [u for u, n in TIME_UNITS.items() if limit / 20 < longest / n <= limit]
-    return fitting[0] if fitting else "s"
 
 
 def group_by_value(values: Float[Array, "m"]) -> FrameRows:

@@ -39,7 +39,7 @@ class RawBoxes:
     is_named: bool = True  # whether the source says which form it is; a doubtful one is stated
     shares: bool | None = False  # whether numbers are shares of the picture; None: found
     size: tuple[int, int] | None = None  # (width, height) of the picture, where it is stated
-    time_unit: str | None = None  # of the column time; None: found
+    time_unit: str = "s"  # of the column time
     usual_frame: int | None = None  # number of the first frame; None: formats differ
     class_names: Sequence[str] = ()  # of class numbers from 0
     usual_class: int | None = 0  # number of the first class; None: formats differ

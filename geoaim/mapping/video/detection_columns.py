@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from geoaim.base.errors import GeoaimError
-from geoaim.mapping.video.box_tables import BOX, TIME_UNITS
+from geoaim.mapping.video.box_tables import BOX
 from geoaim.mapping.video.detection_checks import RawBoxes
 
 # what a column holds: names that it has in common tables, in lower case
@@ -60,6 +60,16 @@ def parse_columns(text: str) -> dict[str, str]:
     return columns
 
 
+def to_table(value: Any) -> pd.DataFrame:
+    """Make a table of pandas from one of pandas or polars, or from a list of dictionaries."""
+    if isinstance(value, pd.DataFrame):
+        return value
+    records = value.to_dicts() if hasattr(value, "to_dicts") else list(value)
+    table = pd.json_normalize(records)
+    table.columns = [str(name).split(".")[-1] for name in table.columns]
+    return table
+
+
 def name_columns(
     path: Path, table: pd.DataFrame, columns: Mapping[str, str], *, has_clock: bool = True
 ) -> RawBoxes:
@@ -76,7 +86,7 @@ def name_columns(
         "point": ("x", "y"),
     }
     form = next((form for form, keys in kinds.items() if set(keys) <= values.keys()), "")
-    clock, unit = _find_clock(path, values, found) if has_clock else ("", None)
+    clock, unit = _find_clock(path, values, found) if has_clock else ("", "s")
     if (has_clock and not clock) or not form:
         lacking = [] if clock or not has_clock else ["frame or time"]
         lacking += [] if form else ["x and y, or left, top, right, bottom"]
@@ -100,7 +110,8 @@ def name_columns(
     is_dated = clock == "time" and not values["time"].equals(
         table[found["time"]].reset_index(drop=True)
     )
-    rows: dict[str, Any] = {key: values[key] for key in (clock, "score") if key in values}
+    rows: dict[str, Any] = {clock: values[clock]} if clock else {}
+    rows["score"] = values.get("score", np.full(len(numbers), np.nan))
     for key in ("id", "class"):
         rows[key] = [_to_name(value) for value in values.get(key, [""] * len(numbers))]
     return RawBoxes(
@@ -146,11 +157,11 @@ def _find_columns(path: Path, table: pd.DataFrame, columns: Mapping[str, str]) -
 
 def _find_clock(
     path: Path, values: "dict[str, pd.Series[float]]", found: Mapping[str, str]
-) -> tuple[str, str | None]:
+) -> tuple[str, str]:
     """Find the column that tells frames, make it numbers, and find the unit of times."""
     if "time" in values:
         name = found["time"].lower()
-        unit = next((u for end, u in UNITS.items() if name.endswith(end)), None)
+        unit = next((u for end, u in UNITS.items() if name.endswith(end)), "s")
         if pd.api.types.is_numeric_dtype(values["time"]):
             start = float(values["time"].min())
             if start > MAX_TIME_S:
@@ -163,19 +174,19 @@ def _find_clock(
                 _to_numbers(path, values["time"], found["time"])
                 raise
             values["time"] = (stamps - stamps.min()).dt.total_seconds()
-            return "time", next(iter(TIME_UNITS))
+            return "time", "s"
     if "frame" in values:
         if values["frame"].map(lambda value: isinstance(value, str)).all():
             numbers = pd.to_numeric(values["frame"], errors="coerce")
             if numbers.isna().all():
                 values["name"] = values["frame"].map(lambda value: Path(value).stem)
-                return "name", None
+                return "name", "s"
         values["frame"] = _to_numbers(path, values["frame"], found["frame"])
-        return "frame", None
+        return "frame", "s"
     if "name" in values:
         values["name"] = values["name"].map(lambda value: Path(str(value)).stem)
-        return "name", None
-    return "", None
+        return "name", "s"
+    return "", "s"
 
 
 def _to_numbers(path: Path, values: "pd.Series[float]", name: str) -> "pd.Series[float]":

@@ -5,16 +5,21 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 from numpy import ndarray as Array
 
 from geoaim.base.errors import GeoaimError
 from geoaim.mapping.video.detection_checks import RawBoxes
-from geoaim.mapping.video.detection_columns import name_columns
+from geoaim.mapping.video.detection_columns import name_columns, to_table
 
 ROWS = (
     "rows are left, top, right, bottom, after which may follow a score or an id (5 columns), score "
     "and class (6), or id, score and class (7)"
+)
+# what may follow the four numbers; trackers add the number of the detection
+TAILS = (
+    *((), ("score",), ("id",), ("score", "class"), ("id", "score", "class")),
+    ("id", "score", "class", "number"),
 )
 
 
@@ -22,7 +27,10 @@ def convert_entry(value: Any) -> RawBoxes:
     """Convert the boxes of a frame, by their attributes alone."""
     is_records = isinstance(value, list) and len(value) > 0 and isinstance(value[0], dict)
     if hasattr(value, "columns") or is_records:
-        return _convert_table(to_table(value))
+        table = to_table(value)
+        if not len(table):
+            return make_raw(np.empty((0, 4)))
+        return name_columns(Path("the table"), table, {}, has_clock=False)
     if hasattr(value, "get_corners"):
         corners = None if value.corners is None else np.reshape(value.corners, (-1, 8))
         return make_raw(
@@ -40,16 +48,6 @@ def convert_entry(value: Any) -> RawBoxes:
     if found is None or isinstance(found, list):  # YOLOv5 has a list of tensors
         return _convert_array(to_array(value if found is None else found[0]), names)
     return _convert_result(value, names)
-
-
-def to_table(value: Any) -> pd.DataFrame:
-    """Make a table of pandas from one of pandas or polars, or from a list of dictionaries."""
-    if isinstance(value, pd.DataFrame):
-        return value
-    records = value.to_dicts() if hasattr(value, "to_dicts") else list(value)
-    table = pd.json_normalize(records)
-    table.columns = [str(name).split(".")[-1] for name in table.columns]
-    return table
 
 
 def to_array(value: Any) -> Array:
@@ -81,14 +79,6 @@ def make_raw(
     )
 
 
-def _convert_table(table: pd.DataFrame) -> RawBoxes:
-    if not len(table):
-        return make_raw(np.empty((0, 4)))
-    raw = name_columns(Path("the table"), table, {}, has_clock=False)
-    rows = raw.rows if "score" in raw.rows else raw.rows.assign(score=np.nan)
-    return RawBoxes(**{**vars(raw), "rows": rows})
-
-
 def _convert_array(values: Array, names: Any) -> RawBoxes:
     values = np.asarray(values, np.float64)
     if values.ndim == 3 and values.shape[1:] == (4, 2):
@@ -98,28 +88,25 @@ def _convert_array(values: Array, names: Any) -> RawBoxes:
         return make_raw(np.empty((0, 4)))
     if values.ndim == 1:
         values = values[None]
-    box, rest = values[:, :4], values[:, 4:].T
     if values.ndim != 2 or values.shape[1] < 4:
         raise GeoaimError(f"boxes have the shape {values.shape}; {ROWS}")
-    if not len(rest):
-        return make_raw(box, is_plain=True)
-    score = [bool(((column >= 0) & (column <= 1)).all()) for column in rest]
-    whole = [bool((column % 1 == 0).all()) for column in rest]
-    if len(rest) == 1 and (score[0] or whole[0]):
-        if score[0]:
-            return make_raw(box, rest[0], is_plain=True)
-        return make_raw(box, None, None, _name(rest[0]), is_plain=True)
-    if len(rest) == 2 and score[0] and whole[1]:
-        return make_raw(box, rest[0], _name(rest[1], names), is_plain=True)
-    if len(rest) == 3 and score[0] and score[1] and whole[2] and not whole[0]:  # YOLOX
-        return make_raw(box, rest[0] * rest[1], _name(rest[2], names), is_plain=True)
-    if len(rest) in (3, 4) and whole[0] and score[1] and whole[2]:
-        return make_raw(box, rest[1], _name(rest[2], names), _name(rest[0]), is_plain=True)
+    rest = values[:, 4:].T
+    for keys in TAILS:
+        if len(keys) == len(rest) and all(map(_may_hold, rest, keys)):
+            found = dict(zip(keys, rest, strict=True))
+            classes = _name(found["class"], names) if "class" in found else None
+            ids = _name(found["id"]) if "id" in found else None
+            return make_raw(values[:, :4], found.get("score"), classes, ids, is_plain=True)
     if len(rest) == 4:
         return make_raw(values)
     raise GeoaimError(
         f"arrays of boxes have {values.shape[1]} columns whose meaning is not plain; {ROWS}"
     )
+
+
+def _may_hold(column: Float[Array, " m"], key: str) -> bool:
+    """Whether a column may be scores, or whole numbers."""
+    return bool(((column >= 0) & (column <= 1) if key == "score" else column % 1 == 0).all())
 
 
 def _name(numbers: Shaped[Array, "m"], names: Any = None) -> list[str]:

@@ -217,12 +217,12 @@ def read_detections(  # noqa: PLR0913  (its options)
     What was assumed is said in one warning that names the option which says otherwise.
 
     Args:
-        source: a folder of text files in YOLO's format, DOTA's or VisDrone's, named like the
-            frames' images or by the frames' indices (`000123.txt`, `123.txt`, or `hover_124.txt`
-            as ultralytics names them, from 1); a file of all frames (MOT, VisDrone, UAVDT,
-            geo-trax, JSON of COCO or of supervision, CVAT's XML, or a CSV with a header); a
-            table of pandas with the columns of such a CSV; an iterable with an entry for each
-            frame, or a function of a `Frame`. An entry is an array of rows left, top, right, bottom
+        source: a folder of text files in YOLO's format, named like the frames' images or by the
+            frames' indices (`000123.txt`, `123.txt`, or `hover_124.txt` as ultralytics names them,
+            from 1); a file of all frames (MOT, geo-trax, JSON of COCO or of supervision, or a CSV
+            with a header); a table of pandas with the columns of such a CSV; an iterable with an
+            entry for each frame, or a function of a `Frame`. An entry is an array of rows left,
+            top, right, bottom
             in pixels, after which score and class, or an id, may follow; an object with `xyxy` as
             those of supervision and ultralytics; a table; a `DetectedBoxes`; or None for a frame
             without labels.
@@ -246,7 +246,7 @@ def read_detections(  # noqa: PLR0913  (its options)
         GeoaimError: the file or folder holds no detections in a known format, or none of the
             frames of the video.
     """
-    from geoaim.mapping.video.detection_entries import to_table  # which need pandas
+    from geoaim.mapping.video.detection_columns import to_table  # which need pandas
     from geoaim.mapping.video.detection_files import read_raw_boxes
 
     listed = None if video is None else video.listed

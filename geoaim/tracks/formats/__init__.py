@@ -59,7 +59,7 @@ Without headings and speeds, `motion.make_tracks_from_positions` derives both; w
 from geoaim.tracks.formats.argoverse import read_argoverse
 from geoaim.tracks.formats.formats import read_tracks
 from geoaim.tracks.formats.geopackage import read_geopackage, write_geopackage
-from geoaim.tracks.formats.geotrax import read_geotrax, read_geotrax_pixels, write_geotrax
+from geoaim.tracks.formats.geotrax import read_geotrax, read_geotrax_pixels
 from geoaim.tracks.formats.interaction import read_interaction, read_sind
 from geoaim.tracks.formats.levelx import read_highd, read_ind
 from geoaim.tracks.formats.motion import derive_motion, derive_speeds
@@ -85,5 +85,4 @@ __all__ = [
     "read_tracks",
     "read_trajnet",
     "write_geopackage",
-    "write_geotrax",
 ]

@@ -12,11 +12,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from geoaim.aim.aim import AIM
-from geoaim.base.errors import TracksError, name_option, warn
-from geoaim.base.files import atomic_write
-from geoaim.base.geometry import transform_points
-from geoaim.base.world import World, change_world, crs_from_world, lonlat_from_world
+from geoaim.base.errors import TracksError, name_option
+from geoaim.base.world import World
 from geoaim.tracks.files import read_table
 from geoaim.tracks.formats import shared
 from geoaim.tracks.formats.motion import make_tracks_from_positions
@@ -24,9 +21,7 @@ from geoaim.tracks.formats.shared import TrackFormat, check_columns, has_columns
 from geoaim.tracks.tracks import Tracks
 
 VEHICLE_CLASSES = {0: "car", 1: "bus", 2: "truck", 3: "motorcycle"}
-CLASS_OF_TYPE = {name: number for number, name in VEHICLE_CLASSES.items()} | {"van": 0}
 SIZES = ("Vehicle_Length", "Vehicle_Width")
-KMH_PER_MPS = 3.6
 DAY_S = 86_400.0
 # columns of a file in pixels; boxes in each frame, then those in the reference frame
 BOX, STABILISED_BOX = ("u", "v", "du", "dv"), ("ref_u", "ref_v", "ref_du", "ref_dv")
@@ -135,83 +130,6 @@ def read_geotrax_pixels(
     )
     rows[["length", "width"]] = shared.fill_sizes(rows)
     return make_tracks_from_positions(rows, World(None), half_window=0.25)
-
-
-def write_geotrax(tracks: Tracks, path: str | os.PathLike[str], *, aim: AIM | None = None) -> None:
-    """Write vehicles as a geo-trax .csv, with positions in metres and in degrees.
-
-    Times are seconds and speeds km/h. The format has no heading and no vans, which become cars.
-    Other agents are left out, with a warning. If an id is no number, all agents are numbered.
-
-    Args:
-        tracks: tracks in a world with a CRS, which Local_X and Local_Y are written in.
-        path: the .csv to write.
-        aim: the map whose pixels are Ortho_X and Ortho_Y; None leaves them empty.
-
-    Raises:
-        TracksError: no car, van, bus, truck or motorcycle is present.
-        GeoreferenceError: the tracks, or the map, have no CRS.
-    """
-    table = tracks.to_dataframe()
-    table = table[table["type"].isin(CLASS_OF_TYPE)].reset_index(drop=True)
-    if not len(table):
-        raise TracksError(f"no agent is one of {', '.join(CLASS_OF_TYPE)}, as geo-trax needs")
-    if left_out := len(tracks.ids) - table["id"].nunique():
-        warn(f"{path}: {left_out} agents are left out, whose types geo-trax does not have")
-    written = pd.concat(
-        [_describe_places(table, tracks.world, aim), _describe_vehicles(table)], axis="columns"
-    )
-    steps = np.diff(tracks.times)
-    frames = (table["time"] - tracks.times[0]) / (np.median(steps) if len(steps) else 1.0)
-    is_numbered = table["id"].str.fullmatch(r"\d+").all()
-    numbers = table["id"] if is_numbered else pd.factorize(table["id"])[0] + 1
-    written.insert(0, "Vehicle_ID", numbers)
-    written.insert(1, "Timestamp", table["time"])
-    written.insert(2, "Frame_Number", frames.round().astype(int))
-    with atomic_write(path) as temporary:
-        written.to_csv(temporary, index=False, lineterminator="\n")
-
-
-def _describe_places(table: pd.DataFrame, world: World, aim: AIM | None) -> pd.DataFrame:
-    """Pixels of the map, metres in the CRS and degrees of the positions."""
-    positions = table[["x", "y"]].to_numpy()
-    pixels = np.full_like(positions, np.nan)
-    if aim is not None:
-        on_map = change_world(world, aim.world, positions)
-        pixels = transform_points(np.linalg.inv(aim.world_from_image), on_map)
-    lonlat = lonlat_from_world(world, positions)
-    return pd.DataFrame(
-        {
-            "Ortho_X": pixels[:, 0].round(1),
-            "Ortho_Y": pixels[:, 1].round(1),
-            "Local_X": crs_from_world(world, positions)[:, 0].round(3),
-            "Local_Y": crs_from_world(world, positions)[:, 1].round(3),
-            "Latitude": lonlat[:, 1].round(8),
-            "Longitude": lonlat[:, 0].round(8),
-        }
-    )
-
-
-def _describe_vehicles(table: pd.DataFrame) -> pd.DataFrame:
-    """Sizes, classes, speeds and accelerations; roads and lanes are empty."""
-    return pd.DataFrame(
-        {
-            "Vehicle_Length": table["length"].round(2),
-            "Vehicle_Width": table["width"].round(2),
-            "Vehicle_Class": table["type"].map(CLASS_OF_TYPE),
-            "Vehicle_Speed": (KMH_PER_MPS * table["speed"].abs()).round(1),
-            "Vehicle_Acceleration": _differentiate_speeds(table).round(2),
-            "Road_Section": "",
-            "Lane_Number": "",
-            "Visibility": 1,
-        }
-    )
-
-
-def _differentiate_speeds(table: pd.DataFrame) -> "pd.Series[float]":
-    """Accelerations (m/s²) between each row of an agent and its next; NaN in its last one."""
-    next_rows = table.groupby("id", sort=False)[["speed", "time"]].shift(-1)
-    return (next_rows["speed"] - table["speed"]) / (next_rows["time"] - table["time"])
 
 
 def name_classes(classes: "pd.Series[Any]") -> "pd.Series[Any]":

@@ -1,4 +1,4 @@
-/** Counts of the agents that drive over a line that is drawn on the map. */
+/** Counts of the agents that drive over a line, or are in a zone, that is drawn on the map. */
 import Draw from "ol/interaction/Draw.js";
 import VectorLayer from "ol/layer/Vector.js";
 import VectorSource from "ol/source/Vector.js";
@@ -55,43 +55,96 @@ export function findCrossings({ times, agents, origin }, [ax, ay], [bx, by]) {
   return found.sort((one, other) => one.time - other.time);
 }
 
-/** Write crossings as CSV. */
-export function formatCrossings(crossings) {
-  const quote = (text) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+/**
+ * Find when agents were in a zone, a polygon: {agent, entered, left, speed, whole}, by time.
+ *
+ * The middle of an agent counts. Not whole is who was there when first or last seen. Speeds are means.
+ */
+export function findVisits({ times, agents, origin }, polygon) {
+  const found = [];
+  for (const agent of agents) {
+    let visit = null;
+    for (let step = 0; step < agent.steps; step++) {
+      const [x, y, , speed] = agent.states.subarray(4 * step, 4 * step + 4);
+      const present = isPresent(agent, step);
+      const time = times[agent.first + step];
+      if (present && polygon.intersectsCoordinate([x + origin[0], y + origin[1]])) {
+        if (!visit) {
+          visit = { agent, entered: time, speeds: [], whole: step > 0 && isPresent(agent, step - 1) };
+          found.push(visit);
+        }
+        visit.left = time;
+        visit.speeds.push(speed);
+        if (step === agent.steps - 1) visit.whole = false;
+      } else if (visit) {
+        if (!present) visit.whole = false;
+        visit = null;
+      }
+    }
+  }
+  const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
+  const visits = found.map(({ speeds, ...visit }) => ({ ...visit, speed: mean(speeds) }));
+  return visits.sort((one, other) => one.entered - other.entered);
+}
+
+const quote = (text) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+const format = (header, rows) => [header, ...rows.map((row) => row.join(","))].join("\n") + "\n";
+
+/** Say how many agents there are, and of which types. */
+function describeCount(title, agents) {
+  const types = new Map();
+  for (const { type } of agents) types.set(type, (types.get(type) ?? 0) + 1);
+  const parts = [...types].map(([type, count]) => `${type} ${count}`).join(", ");
+  return `${title}: ${agents.length}${parts && ` (${parts})`}`;
+}
+
+function countCrossings(tracks, geometry) {
+  const crossings = findCrossings(tracks, ...geometry.getCoordinates());
+  const driving = (forward) => crossings.filter((one) => one.forward === forward).map(({ agent }) => agent);
   const rows = crossings.map(({ time, agent, forward, x, y, speed }) => {
     const sides = forward ? ["A", "B"] : ["B", "A"];
-    return [time.toFixed(3), quote(agent.id), quote(agent.type), ...sides, speed.toFixed(2), x.toFixed(2), y.toFixed(2)].join(",");
+    return [time.toFixed(3), quote(agent.id), quote(agent.type), ...sides, speed.toFixed(2), x.toFixed(2), y.toFixed(2)];
   });
-  return ["time,id,type,from,to,speed_m_s,x,y", ...rows].join("\n") + "\n";
+  const lines = [describeCount("A → B", driving(true)), describeCount("B → A", driving(false))];
+  return { lines, table: format("time,id,type,from,to,speed_m_s,x,y", rows) };
 }
 
-/** Say how many cross in one direction, and of which types. */
-function describeCount(crossings, forward) {
-  const those = crossings.filter((crossing) => crossing.forward === forward);
-  const types = new Map();
-  for (const { agent } of those) types.set(agent.type, (types.get(agent.type) ?? 0) + 1);
-  const parts = [...types].map(([type, count]) => `${type} ${count}`).join(", ");
-  return `${forward ? "A → B" : "B → A"}: ${those.length}${parts && ` (${parts})`}`;
+function countVisits(tracks, geometry) {
+  const visits = findVisits(tracks, geometry);
+  const agents = [...new Set(visits.map(({ agent }) => agent))];
+  const stays = visits.filter(({ whole }) => whole).map(({ entered, left }) => left - entered).sort((a, b) => a - b);
+  const rows = visits.map(({ agent, entered, left, whole, speed }) => {
+    return [quote(agent.id), quote(agent.type), entered.toFixed(3), left.toFixed(3), whole, speed.toFixed(2)];
+  });
+  const lines = [describeCount("in the zone", agents)];
+  if (stays.length) lines.push(`median stay ${stays[stays.length >> 1].toFixed(1)} s (${stays.length} seen from entry to exit)`);
+  return { lines, table: format("id,type,entered,left,whole,mean_speed_m_s", rows) };
 }
 
-/** Add a tool that counts over a line, for `getTracks()`; returns its `toggle(on)` and its element. */
-export function addCounting(map, getTracks) {
+const SHAPES = {
+  line: { type: "LineString", maxPoints: 2, prompt: "Draw a line: two clicks on the map.", file: "counts.csv", count: countCrossings },
+  zone: { type: "Polygon", prompt: "Draw a zone: click its corners, and the first one again.", file: "visits.csv", count: countVisits },
+};
+
+/** Add a tool that counts over a "line" or in a "zone", for `getTracks()`; returns its `toggle(on)` and its element. */
+export function addCounting(map, shape, getTracks) {
+  const { type, maxPoints, prompt, file, count } = SHAPES[shape];
   const source = new VectorSource();
   map.addLayer(new VectorLayer({ source, style: makeStyles, zIndex: 20 }));
-  const draw = new Draw({ source, type: "LineString", maxPoints: 2, style: makeStyles });
+  const draw = new Draw({ source, type, maxPoints, style: makeStyles });
   const text = make("div", { role: "status" });
-  const save = make("button", { type: "button" }, "save counts.csv");
+  const save = make("button", { type: "button" }, `save ${file}`);
   const element = make("div", { className: "counts", hidden: true }, text, save);
-  let crossings = [];
-  const show = (line) => {
-    crossings = line ? findCrossings(getTracks(), ...line) : [];
-    const lines = line ? [true, false].map((forward) => describeCount(crossings, forward)) : ["Draw a line: two clicks on the map."];
+  let counted = null;
+  const show = (geometry) => {
+    counted = geometry && count(getTracks(), geometry);
+    const lines = counted ? counted.lines : [prompt];
     text.replaceChildren(...lines.map((words) => make("div", {}, words)));
-    save.hidden = !line;
+    save.hidden = !counted;
   };
   draw.on("drawstart", () => source.clear());
-  draw.on("drawend", ({ feature }) => show(feature.getGeometry().getCoordinates()));
-  save.addEventListener("click", () => saveText("counts.csv", formatCrossings(crossings)));
+  draw.on("drawend", ({ feature }) => show(feature.getGeometry()));
+  save.addEventListener("click", () => saveText(file, counted.table));
   const toggle = (on) => {
     source.clear();
     show(null);
@@ -102,7 +155,7 @@ export function addCounting(map, getTracks) {
   return { toggle, element };
 }
 
-/** The line, with the letters of its sides. */
+/** The line, with the letters of its sides; the edge of a zone. */
 function makeStyles(feature, resolution) {
   const line = new Style({ stroke: new Stroke({ color: COLOUR, width: 3 }) });
   const geometry = feature.getGeometry();

@@ -136,12 +136,16 @@ export async function showView(element, description, transport, { link = false, 
     const label = `futures, ${futures.start} to ${futures.end} s`;
     addToggle("futures", null, true, { label, swatch: FUTURE_COLOUR, group: traffic });
   }
-  const setMeasure = addMeasure(map, (length) => (status.textContent = `${length.toFixed(2)} m`));
-  addTool("measure", "measure", setMeasure);
+  const resolution = description.lonlat ? null : 1 / Math.hypot(...description.pixels_from_world[0].slice(0, 2));
+  const measure = addMeasure(map, (length) => (status.textContent = `${length.toFixed(2)} m`), resolution);
+  addTool("measure", "measure", measure.toggle);
+  tools.append(measure.element);
   if (description.moving.tracks) {
-    const counting = addCounting(map, () => state.tracks);
-    addTool("count", "count over a line", counting.toggle);
-    tools.append(counting.element);
+    for (const [shape, label] of [["line", "count over a line"], ["zone", "count in a zone"]]) {
+      const counting = addCounting(map, shape, () => state.tracks);
+      addTool(shape, label, counting.toggle);
+      tools.append(counting.element);
+    }
   }
   move();
   if (beside) {

@@ -58,18 +58,6 @@ def test_mot_text_counts_frames_from_one(tmp_path):
     assert read_frame(path, index=9) is None
 
 
-def test_visdrone_names_its_classes_and_leaves_ignored_regions_out(tmp_path):
-    path = write(tmp_path / "a.txt", "1,0,90,40,20,20,1,4,0,0\n1,1,0,0,50,50,0,0,0,0\n")
-    found = read_frame(path)
-    assert (found.types, found.ids) == (("car",), ("0",))
-    folder = tmp_path / "images"
-    folder.mkdir()
-    write(folder / "img7.txt", "90,40,20,20,1,1,0,0\n")
-    found = read_frame(folder, name="img7.jpg")
-    np.testing.assert_allclose(found.boxes, [BOX])
-    assert found.types == ("pedestrian",)
-
-
 def test_geotrax_rows_are_the_boxes_of_each_frame(tmp_path):
     row = "0,5,100,50,20,20,101,51,20,20,2,0.9,20,10\n"
     found = read_frame(write(tmp_path / "a.txt", row))

@@ -1,75 +1,19 @@
-"""geo-trax: a round trip of its tables, and its files in pixels. Other tests: test_readers.py."""
+"""geo-trax: its files in pixels, real ones, and their times. Other tests: test_readers.py."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from geoaim.aim.aim import AIM
-from geoaim.base.errors import GeoaimWarning, GeoreferenceError, TracksError
-from geoaim.base.world import World, crs_from_world
-from geoaim.tracks.files import read_plain_tracks
-from geoaim.tracks.formats import read_geotrax, read_geotrax_pixels, read_tracks, write_geotrax
+from geoaim.base.errors import TracksError
+from geoaim.tracks.formats import read_geotrax, read_geotrax_pixels, read_tracks
 
-SAMPLE = read_plain_tracks(Path(__file__).parents[3] / "samples/tracks.csv")
-VEHICLES = [kind in ("car", "van", "bus", "truck") for kind in SAMPLE.types]
 PIXELS = "".join(
     f"{k},{track},{100 + 9 * k},50,40,20,{100 + 10 * k},50,40,20,{kind},0.9,{length},18.5\n"
     for track, kind, length in ((1, 0, 45), (2, 1, "nan"))
     for k in range(8)
 )
-
-
-def test_vehicles_come_back_from_a_written_table(tmp_path):
-    path = tmp_path / "a.csv"
-    with pytest.warns(GeoaimWarning, match=r"agents are left out, whose types geo-trax does not"):
-        write_geotrax(SAMPLE, path)
-    tracks = read_tracks(path, world=SAMPLE.world)
-    assert tracks.ids == tuple(np.array(SAMPLE.ids)[VEHICLES])
-    assert len(tracks.ids) > 20
-    kinds = np.array(SAMPLE.types)[VEHICLES]
-    assert tracks.types == tuple("car" if kind == "van" else kind for kind in kinds)
-    rows = SAMPLE.present[VEHICLES]
-    np.testing.assert_allclose(tracks.times, SAMPLE.times[rows.any(axis=0)] - tracks.times[0])
-    wanted = crs_from_world(SAMPLE.world, SAMPLE.states[VEHICLES][rows][:, :2])
-    found = crs_from_world(tracks.world, tracks.states[tracks.present][:, :2])
-    np.testing.assert_allclose(found, wanted, atol=6e-4)
-    np.testing.assert_allclose(tracks.sizes, SAMPLE.sizes[VEHICLES], atol=0.006)
-
-
-def test_written_table_has_the_columns_and_units_of_geotrax(tmp_path):
-    states = np.array([[[10.0, 20.0, 0.0, 10.0], [11.0, 20.0, 0.0, 10.2]]])
-    fields = {"times": np.array([0.0, 0.1]), "states": states, "present": np.ones((1, 2), bool)}
-    fields |= {"sizes": np.array([[4.5, 1.8]]), "types": ("van",), "ids": ("north",)}
-    tracks = replace(SAMPLE, **fields)
-    matrix = np.array([[0.5, 0, 0], [0, -0.5, 100], [0, 0, 1.0]])
-    aim = AIM.from_image(np.zeros((200, 200, 3), np.uint8), matrix, SAMPLE.world, "test")
-    write_geotrax(tracks, tmp_path / "a.csv", aim=aim)
-    table = pd.read_csv(tmp_path / "a.csv")
-    assert ",".join(table.columns) == (
-        "Vehicle_ID,Timestamp,Frame_Number,Ortho_X,Ortho_Y,Local_X,Local_Y,Latitude,Longitude,"
-        "Vehicle_Length,Vehicle_Width,Vehicle_Class,Vehicle_Speed,Vehicle_Acceleration,"
-        "Road_Section,Lane_Number,Visibility"
-    )
-    assert table["Vehicle_ID"].tolist() == [1, 1]
-    assert table["Frame_Number"].tolist() == [0, 1]
-    assert table[["Ortho_X", "Ortho_Y"]].iloc[0].tolist() == [20.0, 160.0]
-    assert table["Vehicle_Speed"].tolist() == [36.0, 36.7]
-    assert table["Vehicle_Acceleration"].iloc[0] == 2.0
-    assert table["Vehicle_Class"].tolist() == [0, 0]
-
-
-def test_tracks_without_a_crs_or_vehicles_cannot_be_written(tmp_path):
-    with (
-        pytest.raises(GeoreferenceError, match="without a CRS"),
-        pytest.warns(GeoaimWarning, match="are left out"),
-    ):
-        write_geotrax(replace(SAMPLE, world=World(None)), tmp_path / "a.csv")
-    walking = replace(SAMPLE, types=("pedestrian",) * len(SAMPLE.types))
-    with pytest.raises(TracksError, match="no agent is one of car, bus, truck, motorcycle, van"):
-        write_geotrax(walking, tmp_path / "a.csv")
 
 
 def test_file_in_pixels_is_read_in_its_reference_frame(tmp_path):
