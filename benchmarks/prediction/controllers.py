@@ -98,8 +98,7 @@ def measure_starts(
 ) -> tuple[Bool[Tensor, "B K N"], Float[Tensor, "B K N"], Float[Tensor, "B N"]]:
     """Who has moved by `STARTED_M` in each future; how far; and how far as recorded, m.
 
-    The way is 0, and nobody has moved, unless an agent stands in the observed steps and is there
-    to the end.
+    The recorded way is NaN unless an agent stands in the observed steps and is there to the end.
     """
     path = segments.states[..., :2]
     whole = segments.present.all(dim=2) & segments.controlled
@@ -107,8 +106,7 @@ def measure_starts(
     start_at = path[:, :, HISTORY - 1, None]
     recorded = (path[:, :, HISTORY:] - start_at).norm(dim=3).amax(dim=2)
     way = (futures[..., HISTORY:, :2] - start_at[:, None]).norm(dim=4).amax(dim=3)
-    judged = whole & stood
-    return (way > STARTED_M) & judged[:, None], way * judged[:, None], recorded * judged
+    return way > STARTED_M, way, torch.where(whole & stood, recorded, torch.nan)
 
 
 def _measure_futures(model: ITRA, segments: Segments, ground: Ground) -> Sums:
@@ -122,8 +120,7 @@ def _measure_futures(model: ITRA, segments: Segments, ground: Ground) -> Sums:
         for name in ("minADE", "joint minADE")
     }
     gone, way, recorded = measure_starts(futures, every)
-    judged = (recorded > 0) | (way.amax(dim=1) > 0)
-    starts, stays = recorded > STARTED_M, judged & (recorded < STILL_M)
+    starts, stays = recorded > STARTED_M, recorded < STILL_M
     sums["starters that start, %"] = _share(gone.transpose(1, 2)[starts])
     sums["their way, of the recorded"] = np.array(
         [float(way.mean(dim=1)[starts].sum()), float(recorded[starts].sum())]

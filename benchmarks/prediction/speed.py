@@ -25,10 +25,13 @@ from benchmarks.charts import OTHERS, OURS
 from benchmarks.prediction.closed_loop import CLOSED_LOOP
 from benchmarks.prediction.controllers import FUTURES, PLACES, PREDICTED
 from benchmarks.prediction.own_place import cover
-from benchmarks.prediction.places import make_drawn_scene
+from benchmarks.prediction.places import DRAWN_RESOLUTION, make_drawn_scene
 from benchmarks.prediction.reaction import HISTORY, format_rows
 from benchmarks.prediction.results import Workspace
 from benchmarks.results import describe_machine, write_json
+from benchmarks.synthetic import draw_place, make_place, world_from_image
+from benchmarks.synthetic.imagery import make_other_day
+from geoaim.aim.aim import AIM
 from geoaim.base.files import atomic_files, write_figure
 from geoaim.base.labels import label_points
 from geoaim.prediction.baselines import BASELINES, Predictor
@@ -39,6 +42,7 @@ from geoaim.prediction.dataset import cut_moving_and_parked
 from geoaim.prediction.metrics import compute_metrics
 from geoaim.prediction.plain import train_plain
 from geoaim.prediction.segments import Segments, concat
+from geoaim.rendering.corners import make_ground_from_aim
 from geoaim.rendering.ground import Ground
 from geoaim.rendering.prefiltering import prefilter_ground
 
@@ -55,6 +59,7 @@ Numbers = Float[Array, "4"]  # `NUMBERS` at a place
 class _Case:
     segments: Segments
     ground: Ground
+    older: Ground  # of another day, season and sun, with changes on the ground
 
 
 def run(workspace: Workspace) -> list[Path]:
@@ -82,8 +87,9 @@ def measure(predict: Predictor, case: _Case, shown: _Case | None = None) -> Numb
     began = time.process_time()
     futures = predict(seen.segments, seen.ground, **given)
     spent = time.process_time() - began
-    metrics = compute_metrics(futures[:, :, : case.segments.agents], case.segments, HISTORY)
-    agents = float(case.segments.controlled.sum())
+    known = case.segments.controlled & seen.segments.controlled
+    metrics = compute_metrics(futures, replace(case.segments, controlled=known), HISTORY)
+    agents = float(known.sum())
     return np.array(
         [
             1000 * spent / agents,
@@ -98,8 +104,11 @@ def _make_case(kind: Any, seed: int) -> _Case:
     scene, _ = make_drawn_scene(kind, seed)
     steps = HISTORY + PREDICTED
     segments = cut_segments(scene, "vehicle", steps=steps, stride=STRIDE, joint=True)
-    resolution = read_pretrained("vehicle").config.resolution
-    return _Case(segments, prefilter_ground(scene.ground, resolution))
+    resolution, place = read_pretrained("vehicle").config.resolution, make_place(seed, kind=kind)
+    image = draw_place(place, make_other_day(place), resolution=DRAWN_RESOLUTION)
+    aim = AIM.from_image(image, world_from_image(place, DRAWN_RESOLUTION), place.world, "drawn")
+    grounds = scene.ground, make_ground_from_aim(aim)
+    return _Case(segments, *(prefilter_ground(ground, resolution) for ground in grounds))
 
 
 def _make_predictors() -> dict[str, Predictor]:
@@ -169,11 +178,30 @@ def _mistake_speeds(case: _Case, *, factor: float) -> _Case:
     return replace(case, segments=replace(case.segments, states=states))
 
 
+def _show_late(case: _Case, *, steps: int) -> _Case:
+    """Show all agents only from some steps before the last observed one on."""
+    present = case.segments.present.clone()
+    present[:, :, : HISTORY - steps] = False
+    return replace(case, segments=replace(case.segments, present=present))
+
+
+def _miss_agents(case: _Case, *, share: float) -> _Case:
+    """Show neither vehicles nor others of a random share of agents; the others are predicted."""
+    one = case.segments
+    generator = torch.Generator().manual_seed(0)
+    kept = torch.rand(one.controlled.shape, generator=generator) >= share
+    present, controlled = one.present & kept[..., None], one.controlled & kept
+    return replace(case, segments=replace(one, present=present, controlled=controlled))
+
+
 CHANGES: Mapping[str, Callable[[_Case], _Case]] = {
     "as it is": lambda case: case,
     "positions with noise of 0.2 m": partial(_disturb_tracks, metres=0.2),
     "positions with noise of 0.5 m": partial(_disturb_tracks, metres=0.5),
     "speeds 10 % too high": partial(_mistake_speeds, factor=1.1),
+    "seen for 0.5 instead of 1 s": partial(_show_late, steps=5),
+    "a fifth of the agents not seen": partial(_miss_agents, share=0.2),
+    "a map of another day": lambda case: replace(case, ground=case.older),
     "map blurred over 3 m": partial(_blur_map, metres=3.0),
     "map 1 m aside": partial(_move_map, shift=1.0),
     "map 3 m aside": partial(_move_map, shift=3.0),

@@ -14,21 +14,25 @@ from benchmarks.prediction.averages import average_seeds
 from benchmarks.prediction.models import train_once
 from benchmarks.prediction.places import add_blur_and_noise
 from benchmarks.prediction.results import Metrics, Workspace, compute_differences, write_results
+from benchmarks.prediction.windows import (
+    WINDOW_TRAINING,
+    WITH_MAP,
+    WITHOUT_MAP,
+    ImageTransform,
+    WindowFiles,
+    Windows,
+    evaluate_windows,
+    make_window_predictor,
+    make_windows_dataset,
+    read_windows,
+)
 from geoaim.base.progress import Progress
 from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.config import Config
 from geoaim.prediction.dataset import Dataset
-from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric
 from geoaim.prediction.training import init_model
-from geoaim.prediction.window_training import (
-    WINDOW_TRAINING,
-    WITH_MAP,
-    WITHOUT_MAP,
-    make_windows_dataset,
-)
-from geoaim.prediction.windows import ImageTransform, WindowFiles, Windows, read_windows
 
 DATA = "tracks/sdd_trajnet"
 VAL_SCENES = ("bookstore_3", "coupa_3", "deathCircle_3", "gates_1", "hyang_6", "nexus_8")

@@ -21,23 +21,24 @@ from benchmarks.prediction.stanford import (
     read_scenes,
     train_on_scenes,
 )
-from geoaim.prediction.anchors import HISTORY_NOISE_M
-from geoaim.prediction.baselines import BASELINES, Predictor
-from geoaim.prediction.batches import compute_top_k
-from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
-from geoaim.prediction.metrics import Metric
-from geoaim.prediction.networks import build_mlp
-from geoaim.prediction.segments import Segments, concat, repeat
-from geoaim.prediction.window_training import WINDOW_TRAINING as TRAINING
-from geoaim.prediction.window_training import WITHOUT_MAP
-from geoaim.prediction.windows import (
+from benchmarks.prediction.windows import (
     HISTORY_STEPS,
     WINDOW_STEPS,
+    WITHOUT_MAP,
     WindowFiles,
     Windows,
+    evaluate_windows,
+    make_window_predictor,
     read_windows,
     reverse_paths,
 )
+from benchmarks.prediction.windows import WINDOW_TRAINING as TRAINING
+from geoaim.prediction.anchors import HISTORY_NOISE_M
+from geoaim.prediction.baselines import BASELINES, Predictor
+from geoaim.prediction.batches import compute_top_k
+from geoaim.prediction.metrics import Metric
+from geoaim.prediction.networks import build_mlp
+from geoaim.prediction.segments import Segments, concat, repeat
 from geoaim.rendering.ground import Ground
 from geoaim.simulation.kinematics import agent_from_world, world_from_agent
 

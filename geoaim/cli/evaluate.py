@@ -9,7 +9,6 @@ import typer
 from rich.table import Table
 
 from geoaim.base.defaults import SAMPLES
-from geoaim.base.errors import warn
 from geoaim.base.progress import Progress
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
@@ -28,19 +27,15 @@ if TYPE_CHECKING:
     from geoaim.rendering.scene import Scene
 
 
-# metrics by predictor and name; "segments" or "windows", and how many; predicted time with unit
-Result = tuple[dict[str, dict[str, Any]], str, int, str]
+# metrics by predictor and name; how many segments; predicted time with unit
+Result = tuple[dict[str, dict[str, Any]], int, str]
 
 
 @take_scene_files
 def evaluate(
-    aim: Annotated[
-        Path | None, typer.Argument(help="AIM, with --tracks; or give --windows instead")
-    ] = None,
+    aim: Annotated[Path, typer.Argument(help="AIM, or the folder of geoaim place")],
+    *,
     tracks: options.SceneTracks = None,
-    windows: options.WindowsFolder = None,
-    images: options.WindowImages = None,
-    scenes: options.WindowScenes = None,
     kind: options.Kind = "vehicles",
     weights: options.WeightsFile = None,
     samples: options.Samples = SAMPLES,
@@ -55,13 +50,11 @@ def evaluate(
     realism: Annotated[
         bool,
         typer.Option(
-            "--realism",
-            help="on an AIM: also the realism of the Waymo Open Sim Agents Challenge (WOSAC)",
+            "--realism", help="also the realism of the Waymo Open Sim Agents Challenge (WOSAC)"
         ),
     ] = False,
     seed: options.Seed = 0,
     as_json: options.AsJson = False,
-    *,
     files: SceneFiles,
 ) -> None:
     """Evaluate a prediction model and compare it with constant-velocity and -turn-rate baselines.
@@ -69,32 +62,22 @@ def evaluate(
     With --val-fraction also with a plain network of an agent's own past, which is trained on the
     beginning of the tracks in seconds.
 
-    On an AIM with tracks: minADE (how far the closest of the samples is from what was driven),
-    minFDE, MFD, collisions and traffic violations, also those of the recording itself, and with
-    --realism how likely it is under the samples. On windows of the Stanford Drone Dataset: minADE
-    and minFDE in pixels and metres. Confidence intervals of 95 % are bootstrapped.
+    Metrics are minADE (how far the closest of the samples is from what was driven), minFDE, MFD,
+    collisions and traffic violations, also those of the recording itself, and with --realism how
+    likely it is under the samples. Confidence intervals of 95 % are bootstrapped.
 
     Example: geoaim evaluate map.tif --tracks samples/tracks.csv --hdmap samples/map.osm
     """
     with show_progress() as progress, report_errors():
-        if (aim is None) == (windows is None) or (aim is None) != (tracks is None):
-            raise ValueError("give either an AIM with --tracks, or --windows with --scenes")
-        if aim is not None and tracks is not None:
-            source = SceneSource(aim, tracks, **files)
-            model = load_model(weights, kind)
-            config = {"samples": samples, "seed": seed, "realism": realism}
-            result = _evaluate_on_map(source, model, val_fraction, config, progress)
-        elif windows is None or scenes is None:
-            raise ValueError("--windows needs --scenes, for the metres per pixel of each scene")
-        elif weights is None:
-            raise ValueError("--windows needs --weights of a model that was trained on windows")
-        else:
-            model, windows_files = load_model(weights), (windows, images, scenes)
-            result = _evaluate_on_windows(windows_files, model, samples, seed, progress)
+        if tracks is None:
+            raise ValueError(f"{aim} has no tracks to judge by; give them with --tracks")
+        source = SceneSource(aim, tracks, **files)
+        config = {"samples": samples, "seed": seed, "realism": realism}
+        result = _evaluate(source, load_model(weights, kind), val_fraction, config, progress)
     print_result(result, samples, as_json)
 
 
-def _evaluate_on_map(
+def _evaluate(
     source: SceneSource,
     model: "ITRA",
     fraction: float,
@@ -125,7 +108,7 @@ def _evaluate_on_map(
         progress=progress,
     )
     count = len(metrics["model"]["minADE"].sums)
-    return metrics, "segments", count, f"{horizon * config.dt:g} s"
+    return metrics, count, f"{horizon * config.dt:g} s"
 
 
 def train_on_beginning(
@@ -145,40 +128,16 @@ def train_on_beginning(
     return train_plain(segments, model.config, history=MAX_HISTORY_STEPS)
 
 
-def _evaluate_on_windows(
-    files: tuple[Path, Path | None, Path],
-    model: "ITRA",
-    samples: int,
-    seed: int,
-    progress: Progress,
-) -> Result:
-    """Evaluate a model and baselines on TrajNet windows: their folders and table."""
-    from geoaim.prediction import windows
-    from geoaim.prediction.baselines import BASELINES
-    from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
-
-    if files[1] is None and model.config.use_observations:
-        warn("the model was trained with maps; without --images it gets a uniform grey one")
-    data = windows.read_windows(windows.WindowFiles(*files), model.config.view)
-    predictors = {"model": make_window_predictor(model, samples), **BASELINES}
-    metrics = {
-        name: evaluate_windows(predictor, data, samples, seed=seed, progress=progress)
-        for name, predictor in predictors.items()
-    }
-    horizon = windows.WINDOW_STEPS - windows.HISTORY_STEPS
-    return metrics, "windows", len(data.segments), f"{horizon} steps"
-
-
 def print_result(result: Result, samples: int, as_json: bool = False) -> None:
     """Print metrics as a table, a column for each method, or as JSON."""
     from geoaim.prediction.metrics import MIN_SEGMENTS, summarise
     from geoaim.prediction.report import format_cell
 
-    metrics, unit, count, horizon = result
+    metrics, count, horizon = result
     summaries = {name: summarise(values) for name, values in metrics.items()}
     if as_json:
         means = {name: value["mean"] for name, value in summaries["model"].items()}
-        content = {**means, unit: count, "samples": samples}
+        content = {**means, "segments": count, "samples": samples}
         print(json.dumps({**content, "methods": summaries}, indent=1))
         return
     names = list(dict.fromkeys(name for summary in summaries.values() for name in summary))
@@ -187,9 +146,9 @@ def print_result(result: Result, samples: int, as_json: bool = False) -> None:
         cells = [format_cell(s[name]) if name in s else "" for s in summaries.values()]
         table.add_row(name, *cells)
     console.print(table)
-    few = f"no intervals, which need {MIN_SEGMENTS} {unit} or more: give longer tracks"
+    few = f"no intervals, which need {MIN_SEGMENTS} segments or more: give longer tracks"
     intervals = few if count < MIN_SEGMENTS else "95 % intervals"
     console.print(
-        f"{count} {unit}, {samples} samples of {horizon}; metres, or pixels where a name says px; "
-        f"rates per agent, sample and step; {intervals}"
+        f"{count} segments, {samples} samples of {horizon}; metres; rates per agent, sample and "
+        f"step; {intervals}"
     )

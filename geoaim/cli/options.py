@@ -69,15 +69,6 @@ DrivableFile = Annotated[
     Path | None, typer.Option(help="hand-drawn drivable area: GeoJSON polygons")
 ]
 
-WindowsFolder = Annotated[
-    Path | None,
-    typer.Option(help="folder of TrajNet windows: <scene>.csv with frame, track, u_px, v_px"),
-]
-WindowImages = Annotated[Path | None, typer.Option(help="folder of the windows' maps: <scene>.jpg")]
-WindowScenes = Annotated[
-    Path | None, typer.Option(help="table of the windows' scenes: scene, metres_per_pixel")
-]
-
 AgentKind = Literal["vehicles", "pedestrians", "cyclists"]
 Kind = Annotated[AgentKind, typer.Option(help="agents that the model predicts")]
 WeightsFile = Annotated[

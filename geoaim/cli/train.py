@@ -19,7 +19,6 @@ from geoaim.cli.inputs import SceneFiles, SceneSource, get_horizon, load_model, 
 from geoaim.cli.outputs import check_output
 
 if TYPE_CHECKING:
-    from geoaim.prediction.config import TrainConfig
     from geoaim.prediction.dataset import Dataset
     from geoaim.prediction.itra import ITRA
     from geoaim.rendering.scene import Scene
@@ -32,18 +31,15 @@ TIMED_STEPS = 10  # after which it is said how long the others take
 @take_scene_files
 def train(
     aim: Annotated[
-        Path | None,
+        Path,
         typer.Argument(
             help="AIM, with --tracks; or a table of recordings, .csv, with the columns aim, "
-            "tracks and, where needed, tracks_world, lights, hdmap, ...; or give --windows instead"
+            "tracks and, where needed, tracks_world, lights, hdmap, ..."
         ),
-    ] = None,
+    ],
     *,
     output: Annotated[Path, options.output("folder for model.pt, log.csv and curves.png")],
     tracks: options.SceneTracks = None,
-    windows: options.WindowsFolder = None,
-    images: options.WindowImages = None,
-    scenes: options.WindowScenes = None,
     kind: options.Kind = "vehicles",
     weights: options.WeightsFile = None,
     scratch: Annotated[
@@ -53,17 +49,11 @@ def train(
             help="start from random weights, with the configuration of --weights or the default",
         ),
     ] = False,
-    steps: Annotated[
-        int | None, typer.Option(help="optimiser steps; 100, of windows 4000", min=1)
-    ] = None,
-    batch_size: Annotated[
-        int | None, typer.Option(help="segments in a batch; 32, of windows 128", min=1)
-    ] = None,
+    steps: Annotated[int, typer.Option(help="optimiser steps", min=1)] = STEPS,
+    batch_size: Annotated[int, typer.Option(help="segments in a batch", min=1)] = BATCH_SIZE,
     learning_rate: Annotated[
         float | None,
-        typer.Option(
-            help="highest learning rate; 0.0005, from scratch or of windows 0.002", min=1e-8
-        ),
+        typer.Option(help="highest learning rate; 0.0005, from scratch 0.002", min=1e-8),
     ] = None,
     segment_duration: Annotated[
         float | None,
@@ -96,9 +86,6 @@ def train(
     the same command is called again. Use the model with --weights FOLDER/model.pt in predict and
     evaluate; give evaluate the same --val-fraction.
 
-    On TrajNet windows (--windows, --scenes, and --images for their maps), a new model with
-    trajectory proposals is trained, as for the Stanford benchmark; evaluate takes the same options.
-
     Example: geoaim train map.tif --tracks samples/tracks.csv --val-fraction 0.4 -o model
     """
     from geoaim.prediction.checkpoints import write_model
@@ -119,27 +106,14 @@ def train(
         view = {name: value for name, value in view.items() if value is not None}
         if view and not scratch:
             raise ValueError("a trained model keeps its view; give --scratch with a view's options")
-        if windows is not None:
-            if aim is not None or weights is not None or scratch or tracks is not None:
-                raise ValueError("--windows starts a new model; give no AIM, --tracks or --weights")
-            model, dataset, config = _prepare_windows(windows, images, scenes, seed)
-        elif aim is None:
-            raise ValueError("give an AIM with --tracks, a table of recordings, or --windows")
-        else:
-            source = SceneSource(aim, tracks, **files)
-            model = _init_model(weights, kind, seed, view) if scratch else load_model(weights, kind)
-            scenes_read, dataset = _make_dataset(
-                source, model, val_fraction, segment_duration, progress
-            )
-            configure = configure_training if scratch else configure_fine_tuning
-            config = configure(model.config.kind, steps=STEPS, batch_size=BATCH_SIZE, seed=seed)
-            config = replace(config, checkpoint_interval=CHECKPOINT_STEPS)
-        chosen: dict[str, Any] = {
-            "steps": steps,
-            "batch_size": batch_size,
-            "learning_rate": learning_rate,
-        }
-        config = replace(config, **{k: v for k, v in chosen.items() if v is not None})
+        source = SceneSource(aim, tracks, **files)
+        model = _init_model(weights, kind, seed, view) if scratch else load_model(weights, kind)
+        scenes, dataset = _make_dataset(source, model, val_fraction, segment_duration, progress)
+        configure = configure_training if scratch else configure_fine_tuning
+        config = configure(model.config.kind, steps=steps, batch_size=batch_size, seed=seed)
+        config = replace(config, checkpoint_interval=CHECKPOINT_STEPS)
+        if learning_rate is not None:
+            config = replace(config, learning_rate=learning_rate)
         try:
             report = _announce_duration(progress)
             trained = train_model(model, config, dataset, output, progress=report)
@@ -147,21 +121,19 @@ def train(
             console.print(_describe_checkpoint(output))
             raise
         plot_training(output / "log.csv", output / "curves.png")
-        if windows is None:
-            steps_seen = MAX_HISTORY_STEPS + get_horizon(trained)
-            whole = cut_beginnings(scenes_read, trained.config, val_fraction, steps_seen)
-            placed = learn_place(trained, dataset, whole)
-            if placed.own_place is not None:
-                write_model(placed, output / "model.pt")
-            before = None if scratch else model
-            try:
-                judged = _judge(before, placed, scenes_read, val_fraction, progress)
-            except TracksError as error:  # the model is trained, and stays
-                warn(f"the model is not judged: {error}")
-    held_out = "of them" if windows is not None else "of other agents"
+        steps_seen = MAX_HISTORY_STEPS + get_horizon(trained)
+        whole = cut_beginnings(scenes, trained.config, val_fraction, steps_seen)
+        placed = learn_place(trained, dataset, whole)
+        if placed.own_place is not None:
+            write_model(placed, output / "model.pt")
+        before = None if scratch else model
+        try:
+            judged = _judge(before, placed, scenes, val_fraction, progress)
+        except TracksError as error:  # the model is trained, and stays
+            warn(f"the model is not judged: {error}")
     console.print(
         f"{output / 'model.pt'}: trained on {len(dataset.train)} segments, chosen by "
-        f"{len(dataset.val)} {held_out}: "
+        f"{len(dataset.val)} of other agents: "
         f"{_summarize_log(output / 'log.csv')}; see {output / 'curves.png'}"
     )
     if judged is not None:
@@ -216,7 +188,7 @@ def _judge(
     given = predictors, scenes, after.config, options
     metrics = judge(*given, fraction=fraction, horizon=horizon, progress=progress)
     count = len(metrics["after"]["minADE"].sums)
-    return metrics, "segments", count, f"{horizon * after.config.dt:g} s"
+    return metrics, count, f"{horizon * after.config.dt:g} s"
 
 
 def _announce_duration(progress: Progress) -> Progress:
@@ -235,25 +207,6 @@ def _announce_duration(progress: Progress) -> Progress:
             console.print(f"{total - done:.0f} more steps, validated on the way: {text}")
 
     return report
-
-
-def _prepare_windows(
-    windows: Path, images: Path | None, scenes: Path | None, seed: int
-) -> "tuple[ITRA, Dataset, TrainConfig]":
-    """Make a new model of TrajNet windows, with their maps if there are images."""
-    from geoaim.prediction import window_training
-    from geoaim.prediction.training import init_model
-    from geoaim.prediction.windows import WindowFiles
-
-    if scenes is None:
-        raise ValueError("--windows needs --scenes, for the metres per pixel of each scene")
-    config = window_training.WITHOUT_MAP if images is None else window_training.WITH_MAP
-    dataset = window_training.make_windows_dataset(WindowFiles(windows, images, scenes), config)
-    return (
-        init_model(config, seed=seed),
-        dataset,
-        replace(window_training.WINDOW_TRAINING, seed=seed),
-    )
 
 
 def _init_model(

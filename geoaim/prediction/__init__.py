@@ -15,7 +15,7 @@ from geoaim.prediction.config import (
 )
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.dataset import Dataset, make_dataset
-from geoaim.prediction.evaluation import EvalConfig, evaluate, evaluate_windows
+from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.items import SegmentItems
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, bootstrap_interval, compute_metrics, summarise
@@ -26,7 +26,6 @@ from geoaim.prediction.predict import predict
 from geoaim.prediction.rollouts import Rollout
 from geoaim.prediction.segments import Segments
 from geoaim.prediction.training import init_model, learn_place, train
-from geoaim.prediction.windows import WindowFiles, Windows, read_windows
 
 __all__ = [
     "BASELINES",
@@ -44,15 +43,12 @@ __all__ = [
     "SegmentItems",
     "Segments",
     "TrainConfig",
-    "WindowFiles",
-    "Windows",
     "bootstrap_interval",
     "compute_metrics",
     "configure_fine_tuning",
     "configure_training",
     "cut_segments",
     "evaluate",
-    "evaluate_windows",
     "init_model",
     "learn_place",
     "make_dataset",
@@ -60,7 +56,6 @@ __all__ = [
     "predict",
     "read_model",
     "read_pretrained",
-    "read_windows",
     "summarise",
     "train",
     "train_plain",

@@ -1,8 +1,7 @@
-"""Evaluation of predictors on segments of one place, or on windows of a benchmark."""
+"""Evaluation of predictors on segments of one place."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import torch
 
@@ -12,12 +11,10 @@ from geoaim.prediction.baselines import Predictor
 from geoaim.prediction.config import Config
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.dataset import split_scene
-from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, check_futures, compute_metrics, concat, keep_rates
 from geoaim.prediction.neighbours import MAX_VIEWS
 from geoaim.prediction.realism import compute_realism
 from geoaim.prediction.segments import Segments, control_present, pick
-from geoaim.prediction.windows import HISTORY_STEPS, Windows
 from geoaim.rendering.ground import Ground, move_ground
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.rendering.scene import Scene
@@ -139,42 +136,3 @@ def judge(  # noqa: PLR0913  (what is judged, on what, and how)
     if problem is not None and not any(found.values()):
         raise problem
     return {name: concat(parts) for name, parts in found.items()}
-
-
-def evaluate_windows(
-    predictor: Predictor,
-    windows: Windows,
-    samples: int,
-    *,
-    seed: int = 0,
-    progress: Progress = notebook_progress,
-) -> dict[str, Metric]:
-    """Compute minADE and minFDE of windows, in pixels of their images and in metres.
-
-    Args:
-        predictor: `make_window_predictor` of a model, or one of `BASELINES`.
-        windows: the ground truth.
-        samples: futures of each window.
-        seed: seed of the noise.
-        progress: takes stage, done and total.
-
-    Returns:
-        Metrics `minADE_px`, `minADE_m`, `minFDE_px` and `minFDE_m`.
-    """
-    config = EvalConfig(HISTORY_STEPS, samples, seed=seed)
-    metres = evaluate(predictor, windows.segments, windows.ground, config, progress=progress)
-    resolutions = windows.resolutions.double().numpy()
-    metrics = {}
-    for name in ("minADE", "minFDE"):
-        metrics[f"{name}_px"] = Metric(metres[name].sums / resolutions, metres[name].counts)
-        metrics[f"{name}_m"] = metres[name]
-    return metrics
-
-
-def make_window_predictor(model: ITRA, samples: int) -> Predictor:
-    """Make the predictor of a model for `evaluate_windows` with `samples` futures.
-
-    With at least as many proposals as samples, latents are set to their mean.
-    """
-    proposals = model.config.num_anchors >= samples
-    return partial(model.sample, latent_scale=0.0 if proposals else 1.0)

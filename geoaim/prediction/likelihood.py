@@ -4,7 +4,6 @@ They are those of challenge_2023_config.textproto and challenge_2024_config.text
 github.com/waymo-research/waymo-open-dataset.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -23,44 +22,18 @@ class Estimator:
     pseudocount: float = 0.1  # added to each bin
 
 
-def _make_config(
-    speeds: float, kinematics: Mapping[str, tuple[float, int]], weights: tuple[float, ...]
-) -> dict[str, Estimator]:
-    """Make a year's estimators of limits of kinematics, and weights of (binary) features."""
-    kinematic, other, binary = weights
-    ranges = {
-        "linear speed": (0.0, speeds, 10, kinematic),
-        **{name: (-limit, limit, bins, kinematic) for name, (limit, bins) in kinematics.items()},
-        "distance to nearest object": (-5.0, 40.0, 10, other),
-        "time to collision": (0.0, 5.0, 10, other),
-        "distance to road edge": (-20.0, 40.0, 10, other),
-    }
-    binary_features = {
-        name: Estimator(-0.5, 1.5, 2, binary, pseudocount=0.001)
-        for name in ("collision", "off-road")
-    }
-    return {name: Estimator(*values) for name, values in ranges.items()} | binary_features
-
-
-# the weights of 2023 add up to 0.99
-CONFIG_2023 = _make_config(
-    35.0,
-    {
-        "linear acceleration": (15.0, 10),
-        "angular speed": (31.5, 10),
-        "angular acceleration": (31.5, 10),
-    },
-    (0.09, 0.09, 0.18),
-)
-CONFIG_2024 = _make_config(
-    25.0,
-    {
-        "linear acceleration": (12.0, 11),
-        "angular speed": (0.628, 11),
-        "angular acceleration": (3.14, 11),
-    },
-    (0.05, 0.1, 0.25),
-)
+# limits, bins and weights of the challenge's year
+CONFIG_2024 = {
+    "linear speed": Estimator(0.0, 25.0, 10, 0.05),
+    "linear acceleration": Estimator(-12.0, 12.0, 11, 0.05),
+    "angular speed": Estimator(-0.628, 0.628, 11, 0.05),
+    "angular acceleration": Estimator(-3.14, 3.14, 11, 0.05),
+    "distance to nearest object": Estimator(-5.0, 40.0, 10, 0.1),
+    "time to collision": Estimator(0.0, 5.0, 10, 0.1),
+    "distance to road edge": Estimator(-20.0, 40.0, 10, 0.1),
+    "collision": Estimator(-0.5, 1.5, 2, 0.25, pseudocount=0.001),
+    "off-road": Estimator(-0.5, 1.5, 2, 0.25, pseudocount=0.001),
+}
 
 
 def estimate_log_likelihood(

@@ -18,10 +18,9 @@ from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH, agent_from_world
 AHEAD_S = 0.5  # of the point that agents steer for
 BRAKING_AHEAD_S = 2.0  # of the point on the arc on which they brake for others
 CATCH_UP_S = 0.5  # in which a lag behind the plan is made up for
-MAX_SPEEDING_UP = 4.0  # m/s²
 MIN_AHEAD_M = 1.0  # of that point; nearer ones give no direction
 SPEED_CHANGE_S = 1.0  # in which an agent takes a target speed
-MAX_BRAKING = 4.0  # m/s², for it
+MAX_CHANGE_MPS2 = 4.0  # most speeding up, and most braking for a target speed
 MIN_GOAL_SPEED = 1.0  # m/s, with which an agent goes to way points without times
 
 
@@ -82,7 +81,7 @@ class Plan:
         now, after = self._look_up(self.done), self._look_up(self.done + 1)
         lag = agent_from_world(pose, now[:, :2])[:, 0]
         speed = after[:, 3] + lag / CATCH_UP_S
-        acceleration = ((speed - pose[:, 3]) / dt).clamp_max(MAX_SPEEDING_UP)
+        acceleration = ((speed - pose[:, 3]) / dt).clamp_max(MAX_CHANGE_MPS2)
         curvature = self.aim(pose, AHEAD_S, dt)
         if not self.bicycle:
             return torch.stack([acceleration, curvature * speed], dim=1)
@@ -153,4 +152,4 @@ def plan_through(pose: Float[Tensor, "4"], goal: Goal, dt: float) -> Float[Tenso
 
 def approach_speed(pose: Float[Tensor, "E 4"], speed: Float[Tensor, "E"]) -> Float[Tensor, "E"]:
     """Accelerations, m/s², with which agents take a target speed."""
-    return ((speed - pose[:, 3]) / SPEED_CHANGE_S).clamp(-MAX_BRAKING, MAX_SPEEDING_UP)
+    return ((speed - pose[:, 3]) / SPEED_CHANGE_S).clamp(-MAX_CHANGE_MPS2, MAX_CHANGE_MPS2)

@@ -21,8 +21,6 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.video import open_video
 from geoaim.prediction.checkpoints import read_model
-from geoaim.prediction.windows import WindowFiles, read_windows
-from geoaim.rendering.ground import View
 from geoaim.tracks.formats import read_scenarionet_lights, read_tracks
 from geoaim.tracks.lights import StopLine, read_lights, read_stop_lines
 from geoaim.web.moving_layers import describe_futures_file
@@ -35,7 +33,6 @@ BINARY = (by.mutate_numbers,)
 PNG = (by.mutate_numbers, by.mutate_chunks)
 PICKLE = (by.mutate_numbers, by.mutate_pickle)
 STATE = (by.mutate_state,)
-VIEW = View(16, 16, 1.0)
 KIT_LINES = [StopLine("1", np.array([[0.0, 0.0], [3.0, 0.0]]))]
 SIND_LINES = [StopLine("Traffic light 1", np.array([[0.0, 0.0], [3.0, 0.0]]))]
 
@@ -81,17 +78,6 @@ def _detections(file: str, mutations: tuple[by.Mutation, ...] = TEXT) -> Reader:
     return Reader(file, mutations, read)
 
 
-def _read_windows(folder: Path) -> object:
-    table = folder / "scenes" / "scenes.csv"
-    return read_windows(WindowFiles(folder / "scenes", None, table), VIEW)
-
-
-def _read_image_ground(folder: Path) -> object:
-    (folder / "gates.jpg").write_bytes((folder / "image.jpg").read_bytes())
-    table = folder / "scenes" / "scenes.csv"
-    return read_windows(WindowFiles(folder / "scenes", folder, table), VIEW)
-
-
 def _resume(folder: Path) -> object:
     try:
         return resume_training(folder / "training")
@@ -133,9 +119,6 @@ READERS = {
     "lights: ScenarioNet": Reader(
         "scenario.pkl", PICKLE, lambda f: read_scenarionet_lights(f / "scenario.pkl")
     ),
-    "TrajNet windows": Reader("scenes/gates.csv", TEXT, _read_windows),
-    "TrajNet scenes": Reader("scenes/scenes.csv", TEXT, _read_windows),
-    "TrajNet image": Reader("image.jpg", BINARY, _read_image_ground),
     "lights: plain": Reader(
         "lights.csv", TEXT, lambda f: read_lights(f / "lights.csv", _read_lines(f), WORLD)
     ),

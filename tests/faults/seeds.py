@@ -120,7 +120,6 @@ TABLES = {
     "futures.csv": "sample,time,id,x,y\n"
     + "".join(f"{s},{k / 10},1,{185 + k},{235 + s}\n" for s in (0, 1) for k in range(4)),
     "catalog.csv": "video,name,datetime\nvideo.mp4,a,2024-05-01T10:00:00Z\nvideo.mkv,b,\n",
-    "scenes/scenes.csv": "scene,metres_per_pixel\ngates,0.04\n",
     "lines.geojson": '{"type": "FeatureCollection", "features": [{"type": "Feature", "properties": '
     '{"signal": "east"}, "geometry": {"type": "LineString", "coordinates": [[28.2909, 54.7004], '
     "[28.2908, 54.7005]]}}]}",
@@ -184,7 +183,6 @@ def write_seeds(folder: Path) -> None:
     for name, text in TABLES.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text, encoding="utf-8")
-    (folder / "scenes" / "gates.csv").write_text(TABLES["trajnet.csv"])
     (folder / "sdd.txt.gz").write_bytes(gzip.compress(TABLES["sdd.txt"].encode()))
     write_aim(make_aim(), folder / "aim.tif")
     export_texture(make_aim(), folder)

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
 
@@ -12,11 +11,9 @@ from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.batches import Process, draw_batch
 from geoaim.prediction.config import TrainConfig
 from geoaim.prediction.cutting import cut_segments
-from geoaim.prediction.evaluation import make_window_predictor
 from geoaim.prediction.observation import index_controlled
 from geoaim.prediction.predict import predict
 from geoaim.prediction.training import init_model
-from geoaim.prediction.windows import HISTORY_STEPS, WINDOW_STEPS, WindowFiles, read_windows
 from geoaim.rendering.scene import make_scene, slice_scene
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.formats import formats, read_tracks
@@ -143,28 +140,3 @@ def test_predictions_ignore_what_other_agents_do_later(tmp_path):
     one, two = (predict(model, scene, **given, generator=noise()).states for scene in scenes)
     assert torch.equal(one[:, :3], two[:, :3])
     assert torch.isnan(one[:, 3]).all()
-
-
-def test_predictions_of_windows_ignore_the_future(tmp_path):
-    """Windows of the Stanford Drone Dataset are read without `Tracks`."""
-    config = replace(TINY, kind="pedestrian", motion="slide", dt=0.4, num_anchors=3)
-    horizon = WINDOW_STEPS - HISTORY_STEPS
-    model = init_model(replace(config, history=HISTORY_STEPS, horizon=horizon)).eval()
-    predictors = (make_window_predictor(model, 3), *BASELINES.values())
-    generator = np.random.default_rng(0)
-    pixels = generator.uniform(0, 300, (5, WINDOW_STEPS, 2)).cumsum(axis=1)
-    (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\na,0.05\n")
-    predicted = []
-    for _ in range(2):
-        rows = {"frame": np.tile(12 * np.arange(WINDOW_STEPS), 5)}
-        rows |= {"track": np.repeat(np.arange(5), WINDOW_STEPS)}
-        rows |= {"u_px": pixels[..., 0].ravel(), "v_px": pixels[..., 1].ravel()}
-        pd.DataFrame(rows).to_csv(tmp_path / "a.csv", index=False)
-        files = WindowFiles(tmp_path, None, tmp_path / "scenes.csv")
-        windows = read_windows(files, config.view, scenes=["a"])
-        given = windows.segments, windows.ground
-        options = {"history": HISTORY_STEPS, "samples": 3}
-        predicted.append([one(*given, **options, generator=noise()) for one in predictors])
-        pixels[:, HISTORY_STEPS:] += generator.normal(0, 100, (5, horizon, 2))
-    assert (predicted[0][0][:, 0, :, -1] - windows.segments.states[:, :, -1]).abs().max() > 1
-    assert all(map(torch.equal, *predicted))

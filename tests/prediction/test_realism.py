@@ -8,12 +8,7 @@ import torch
 from shapely import MultiPoint, MultiPolygon, Point, affinity, box
 
 from geoaim.prediction.futures import Futures
-from geoaim.prediction.likelihood import (
-    CONFIG_2023,
-    CONFIG_2024,
-    Estimator,
-    estimate_log_likelihood,
-)
+from geoaim.prediction.likelihood import CONFIG_2024, Estimator, estimate_log_likelihood
 from geoaim.prediction.realism import compute_realism, compute_realism_of_futures
 from geoaim.prediction.realism_features import compute_features, compute_kinematics
 from geoaim.prediction.segments import Segments
@@ -108,7 +103,6 @@ def test_groups_and_meta_metric_are_weighted_means():
     total = sum(estimator.weight * found[name] for name, estimator in CONFIG_2024.items())
     assert found["realism"] == pytest.approx(total, rel=1e-5)
     assert sum(x.weight for x in CONFIG_2024.values()) == pytest.approx(1)
-    assert sum(x.weight for x in CONFIG_2023.values()) == pytest.approx(0.99)
 
 
 def test_constant_speeds_have_the_shares_of_their_bins():

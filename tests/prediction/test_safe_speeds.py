@@ -50,7 +50,7 @@ def test_a_car_stops_behind_who_stands_on_its_arc(other, stops):
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_leader_round_a_bend_that_is_yet_to_come_is_seen(side):
-    pose = torch.tensor([[0.0, 0.0, 0.0, 8.0]])  # straight on until now
+    pose = torch.tensor([[0.0, 0.0, 0.0, 7.0]])  # straight on until now
     radius, turned = 15.0, torch.tensor(0.9)
     x, y = radius * float(turned.sin()), side * radius * float(1 - turned.cos())
     heads = {"on the bend": 0.9, "straight on": 0.0, "towards": 0.9 - torch.pi, "across": -0.7}
@@ -60,6 +60,15 @@ def test_a_leader_round_a_bend_that_is_yet_to_come_is_seen(side):
     }
     assert 4 < safe.pop("on the bend") < 9
     assert set(safe.values()) == {torch.inf}
+
+
+def test_who_waits_beside_the_road_is_no_leader_round_a_bend():
+    """A pedestrian at the kerb, and a car that waits in a side road, faster than one could turn."""
+    slow, fast = torch.tensor([[0.0, 0.0, 0.0, 3.0]]), torch.tensor([[0.0, 0.0, 0.0, 10.0]])
+    place = 5.0, -4.5, -1.4, 0.0
+    assert torch.isinf(meet(place, size=(0.5, 0.6))(slow, torch.zeros(1)))
+    assert torch.isinf(meet(place)(fast, torch.zeros(1)))
+    assert torch.isfinite(meet(place)(slow, torch.zeros(1)))
 
 
 def test_a_car_stops_for_a_pedestrian_who_gets_there_first():

@@ -15,8 +15,6 @@ from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.prediction.checkpoints import read_model, read_pretrained
 from geoaim.prediction.plain import train_plain
-from geoaim.prediction.window_training import WITHOUT_MAP
-from geoaim.prediction.windows import WINDOW_STEPS
 from geoaim.tracks.changes import cut_tracks
 from geoaim.tracks.files import write_tracks
 
@@ -83,45 +81,6 @@ def test_the_best_step_of_a_longer_training_is_kept(aim, tmp_path, monkeypatch):
     done = run(app, [*given, "--steps", "2", "--batch-size", "4", "--val-fraction", "0.4"])
     assert done.exit_code == 0, done.output
     assert "0.30 m after step 1, which is kept as the best" in " ".join(done.output.split())
-
-
-def write_windows(folder):
-    """Two scenes of three windows each: pedestrians who walk to the right."""
-    (folder / "windows").mkdir(parents=True)
-    lines = ["scene,metres_per_pixel"]
-    for scene in ("one", "two"):
-        rows = [
-            f"{12 * step},{track},{50 + 10 * step},{60 + 10 * track}"
-            for track in range(3)
-            for step in range(WINDOW_STEPS)
-        ]
-        text = "\n".join(["frame,track,u_px,v_px", *rows]) + "\n"
-        (folder / "windows" / f"{scene}.csv").write_text(text)
-        lines.append(f"{scene},0.05")
-    (folder / "scenes.csv").write_text("\n".join(lines) + "\n")
-    return ["--windows", str(folder / "windows"), "--scenes", str(folder / "scenes.csv")]
-
-
-@pytest.mark.slow
-def test_command_trains_on_windows_what_evaluate_takes(tmp_path):
-    files = write_windows(tmp_path / "data")
-    few = ["--steps", "13", "--batch-size", "4"]
-    done = run(app, ["train", *files, *few, "-o", str(tmp_path / "mine")])
-    assert done.exit_code == 0, done.output
-    assert "2 more steps, validated on the way: " in " ".join(done.output.split())
-    weights = str(tmp_path / "mine/model.pt")
-    assert read_model(tmp_path / "mine/model.pt").config == WITHOUT_MAP
-    judged = run(app, ["evaluate", *files, "--weights", weights, "--samples", "20"])
-    assert judged.exit_code == 0, judged.output
-    assert "minADE_px" in judged.output
-    for change, message in (
-        (["train", *files, "--scratch"], "--windows starts a new model"),
-        (["train", *files[:2]], "--windows needs --scenes"),
-        (["train"], "give an AIM with --tracks, a table of recordings, or --windows"),
-    ):
-        refused = run(app, [*change, "-o", str(tmp_path / "none")])
-        assert refused.exit_code == 1
-        assert message in " ".join(refused.output.split())
 
 
 @pytest.mark.slow

@@ -29,13 +29,13 @@ from benchmarks.prediction import (
 )
 from benchmarks.prediction.places import TEST, TRAIN, make_place_scene, read_map, read_recordings
 from benchmarks.prediction.results import Workspace
+from benchmarks.prediction.windows import WINDOW_STEPS, make_path_segments
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.checkpoints import read_model
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES
 from geoaim.prediction.dataset import split_scene
 from geoaim.prediction.familiarity import KnownViews
 from geoaim.prediction.training import init_model
-from geoaim.prediction.windows import WINDOW_STEPS, make_path_segments
 from geoaim.rendering.scene import slice_scene
 from tests.prediction.tiny import hill
 

@@ -3,11 +3,13 @@
 A folder holds `<scene>.csv` with the columns frame, track, u_px, v_px: windows of `WINDOW_STEPS`
 rows, of which the first `HISTORY_STEPS` are observed. `<scene>.jpg` or `.png` is the scene's image.
 A table has the resolution of each image (columns scene, metres_per_pixel).
+Models of windows follow trajectory proposals; the settings here are those of the Stanford table.
 """
 
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +21,14 @@ from torch import Tensor
 
 from geoaim.base.errors import TracksError
 from geoaim.base.limits import check_memory, refuse_damaged
-from geoaim.prediction.dataset import stack_maps
-from geoaim.prediction.segments import PEDESTRIAN, Segments
+from geoaim.base.progress import Progress, notebook_progress
+from geoaim.prediction.baselines import Predictor
+from geoaim.prediction.config import Config, TrainConfig
+from geoaim.prediction.dataset import Dataset, stack_maps
+from geoaim.prediction.evaluation import EvalConfig, evaluate
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.metrics import Metric
+from geoaim.prediction.segments import PEDESTRIAN, Segments, concat
 from geoaim.rendering.ground import GREY, Ground, View, make_ground
 from geoaim.tracks.formats.stanford import WINDOW_STEPS as WINDOW_STEPS
 from geoaim.tracks.formats.stanford import read_resolutions, read_trajnet_windows
@@ -33,6 +41,29 @@ FORMATS = ("JPEG", "PNG")
 BYTES_PER_PIXEL = 90  # memory for a pixel of an image while its map is made
 
 ImageTransform = Callable[[Float32[Array, "H W 3"], float], Float32[Array, "H W 3"]]
+WITH_MAP = Config(
+    kind="pedestrian",
+    motion="slide",
+    dt=DT_S,
+    view_size=32,
+    resolution=1.5,
+    surface_contrast=True,
+    view_stride=WINDOW_STEPS - HISTORY_STEPS,
+    num_anchors=20,
+    history=HISTORY_STEPS,
+    horizon=WINDOW_STEPS - HISTORY_STEPS,
+)
+WITHOUT_MAP = replace(WITH_MAP, surface_contrast=False, use_observations=False)
+WINDOW_TRAINING = TrainConfig(
+    steps=4000,
+    batch_size=128,
+    kl_weight=1.2,
+    kl_warmup=0.0,
+    history=(HISTORY_STEPS, HISTORY_STEPS),
+    mirror=True,
+    scale_jitter=0.2,
+    colour_jitter=0.2,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,3 +187,60 @@ def _read_ground(
         image = transform(image, resolution)
     matrix = torch.tensor([[1 / resolution, 0, 0], [0, -1 / resolution, 0]])
     return make_ground(torch.tensor(image).permute(2, 0, 1), matrix)
+
+
+def make_windows_dataset(
+    files: WindowFiles, config: Config, *, scenes: Sequence[str] = ()
+) -> Dataset:
+    """Make a dataset of windows, which are also reversed in time; the log evaluates the others.
+
+    Args:
+        files: where the windows lie.
+        config: the model's configuration.
+        scenes: names of scenes; empty: all.
+
+    Returns:
+        The dataset; its validation windows are training windows too, as published models have it.
+    """
+    windows = read_windows(files, config.view, scenes=scenes)
+    both = concat([windows.segments, reverse_paths(windows.segments)])
+    return Dataset(both, windows.segments, windows.ground)
+
+
+def evaluate_windows(
+    predictor: Predictor,
+    windows: Windows,
+    samples: int,
+    *,
+    seed: int = 0,
+    progress: Progress = notebook_progress,
+) -> dict[str, Metric]:
+    """Compute minADE and minFDE of windows, in pixels of their images and in metres.
+
+    Args:
+        predictor: `make_window_predictor` of a model, or one of `BASELINES`.
+        windows: the ground truth.
+        samples: futures of each window.
+        seed: seed of the noise.
+        progress: takes stage, done and total.
+
+    Returns:
+        Metrics `minADE_px`, `minADE_m`, `minFDE_px` and `minFDE_m`.
+    """
+    config = EvalConfig(HISTORY_STEPS, samples, seed=seed)
+    metres = evaluate(predictor, windows.segments, windows.ground, config, progress=progress)
+    resolutions = windows.resolutions.double().numpy()
+    metrics = {}
+    for name in ("minADE", "minFDE"):
+        metrics[f"{name}_px"] = Metric(metres[name].sums / resolutions, metres[name].counts)
+        metrics[f"{name}_m"] = metres[name]
+    return metrics
+
+
+def make_window_predictor(model: ITRA, samples: int) -> Predictor:
+    """Make the predictor of a model for `evaluate_windows` with `samples` futures.
+
+    With at least as many proposals as samples, latents are set to their mean.
+    """
+    proposals = model.config.num_anchors >= samples
+    return partial(model.sample, latent_scale=0.0 if proposals else 1.0)

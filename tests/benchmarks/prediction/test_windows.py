@@ -1,4 +1,3 @@
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -6,23 +5,23 @@ import pandas as pd
 import pytest
 import torch
 from PIL import Image
-from typer.testing import CliRunner
 
-from geoaim.base.errors import TracksError
-from geoaim.cli import app
-from geoaim.prediction.baselines import BASELINES
-from geoaim.prediction.checkpoints import write_model
-from geoaim.prediction.config import Config
-from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
-from geoaim.prediction.itra import ITRA
-from geoaim.prediction.windows import (
+from benchmarks.prediction.windows import (
     DT_S,
+    HISTORY_STEPS,
     WINDOW_STEPS,
     WindowFiles,
+    evaluate_windows,
     make_path_segments,
+    make_window_predictor,
     read_windows,
     reverse_paths,
 )
+from geoaim.base.errors import TracksError
+from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.config import Config
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.training import init_model
 
 CONFIG = Config(
     kind="pedestrian",
@@ -97,27 +96,6 @@ def test_straight_paths_are_predicted_and_measured_in_pixels(folder):
     assert ratio == pytest.approx(np.r_[np.full(5, 20), np.full(5, 40)], rel=1e-4)
 
 
-def test_command_prints_metrics_as_json_or_as_a_table(folder, tmp_path):
-    torch.manual_seed(0)
-    write_model(ITRA(CONFIG), tmp_path / "m.pt")
-    command = ["evaluate", "--windows", str(folder / "w"), "--images", str(folder / "i")]
-    command += ["--scenes", str(folder / "scenes.csv"), "--weights", str(tmp_path / "m.pt")]
-    done = CliRunner().invoke(app, [*command, "--samples", "20", "--json"])
-    assert done.exit_code == 0, done.output
-    report = json.loads(done.stdout)
-    assert report["windows"] == 10
-    assert {"minADE_px", "minFDE_px", "minADE_m", "minFDE_m"} < set(report)
-    done = CliRunner().invoke(app, command)
-    assert "┃ model " in done.output
-    assert "┃ constant velocity " in done.output
-    done = CliRunner().invoke(app, [part for part in command if part not in command[3:5]])
-    assert done.exit_code == 0, done.output
-    assert "without --images it gets a uniform grey one" in " ".join(done.output.split())
-    done = CliRunner().invoke(app, command[:-2])
-    assert done.exit_code == 1
-    assert "--windows needs --weights" in " ".join(done.output.split())
-
-
 def test_missing_and_malformed_files_are_reported(folder, tmp_path):
     with pytest.raises(TracksError, match=r"neither park_0\.jpg nor park_0\.png"):
         read(folder, "w")
@@ -156,3 +134,31 @@ def test_a_model_without_observations_needs_no_images(folder):
         evaluate_windows(make_window_predictor(blind, 4), read(folder, i), 4) for i in ("i", None)
     )
     assert one["minADE_m"].mean == pytest.approx(two["minADE_m"].mean, abs=1e-4)
+
+
+def test_predictions_of_windows_ignore_the_future(tmp_path):
+    """Windows of the Stanford Drone Dataset are read without `Tracks`."""
+    model, horizon = init_model(CONFIG).eval(), WINDOW_STEPS - HISTORY_STEPS
+    predictors = (make_window_predictor(model, 3), *BASELINES.values())
+    generator = np.random.default_rng(0)
+    pixels = generator.uniform(0, 300, (5, WINDOW_STEPS, 2)).cumsum(axis=1)
+    (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\na,0.05\n")
+    predicted = []
+    for _ in range(2):
+        rows = {"frame": np.tile(12 * np.arange(WINDOW_STEPS), 5)}
+        rows |= {"track": np.repeat(np.arange(5), WINDOW_STEPS)}
+        rows |= {"u_px": pixels[..., 0].ravel(), "v_px": pixels[..., 1].ravel()}
+        pd.DataFrame(rows).to_csv(tmp_path / "a.csv", index=False)
+        files = WindowFiles(tmp_path, None, tmp_path / "scenes.csv")
+        windows = read_windows(files, CONFIG.view, scenes=["a"])
+        given = windows.segments, windows.ground
+        options = {"history": HISTORY_STEPS, "samples": 3}
+        predicted.append(
+            [
+                one(*given, **options, generator=torch.Generator().manual_seed(0))
+                for one in predictors
+            ]
+        )
+        pixels[:, HISTORY_STEPS:] += generator.normal(0, 100, (5, horizon, 2))
+    assert (predicted[0][0][:, 0, :, -1] - windows.segments.states[:, :, -1]).abs().max() > 1
+    assert all(map(torch.equal, *predicted))
