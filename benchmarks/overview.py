@@ -16,10 +16,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.charts import OTHERS, OURS
+from benchmarks.prediction.speed import DEFAULT, NUMBERS, OTHER_METHODS
 from benchmarks.results import ROOT
 from geoaim.base.labels import label_points, scale_axes
 
-BENCH = ROOT / "docs" / "bench"
+BENCH, EXPERIMENTS = ROOT / "docs" / "bench", ROOT / "docs" / "experiments"
 # a method with its time and error
 Point = tuple[str, float, float]
 MIN_IDF1_ERROR = 1e-3  # tracks without error are drawn here, since the axis is logarithmic
@@ -82,6 +83,16 @@ def read_georeference() -> Iterator[Point]:
     return read_fronts("georeference", "6 points", "error, px")
 
 
+def read_prediction() -> Iterator[Point]:
+    """Read the predictors of vehicles; cells are a mean and, in brackets, the range of places."""
+    for row in loads((EXPERIMENTS / "speed.json").read_text("utf-8"))["speed"]:
+        name = row["predictor"]
+        if name not in OTHER_METHODS:
+            name = "geoaim" if name == DEFAULT else f"geoaim, {name}"
+        cost, error = (float(row[key].split()[0]) for key in NUMBERS[:2])
+        yield name, cost, error
+
+
 PANELS = (
     Panel(
         "Register a frame (1080p, H.264)",
@@ -115,6 +126,13 @@ PANELS = (
         "geoaim",
         1.0,
         "grid_sample alone",
+    ),
+    Panel(
+        "Predict vehicles 5 s ahead, 6 futures",
+        "ms an agent",
+        "minADE, m",
+        read_prediction,
+        "geoaim",
     ),
 )
 
