@@ -140,11 +140,8 @@ def get_horizon(model: "ITRA", duration: float | None = None) -> int:
 def read_any_aim(path: Path, sources: Any, crs: str | None, margin: float) -> "AIM":
     """Read an AIM, or imagery in its stated place as an AIM: the part that others may show.
 
-    Args:
-        path: the AIM or the imagery.
-        sources: the imagery that is aligned to it, as `read_imagery` takes it.
-        crs: CRS of that imagery where it names none.
-        margin: metres around that which are read too.
+    These are `sources`, as `read_imagery` takes them, with their CRS where they name none; so many
+    metres around them are read too.
     """
     import numpy as np
     from rasterio.errors import RasterioError

@@ -48,14 +48,10 @@ class Tips:
 
 
 def measure_triangles(x: Float[Array, "2 m"], half: Float[Array, "2 m"]) -> Tips:
-    """Measure the shares of the triangles at the fronts of boxes.
+    """Measure the shares of the triangles at the fronts of boxes, with what gradients need.
 
-    Args:
-        x: how far the pixel's centre lies along and across the box from its middle, pixels.
-        half: half of the length and of the width of the box, pixels.
-
-    Returns:
-        The shares, and what their gradients need.
+    x is how far the pixel's centre lies along and across the box from its middle, half that of the
+    length and of the width of the box; pixels.
     """
     base = BASE * half[0]
     low, high = np.maximum(x[0] - 0.5, base), np.minimum(x[0] + 0.5, half[0])

@@ -117,10 +117,7 @@ def _read_boxes(boxes: StackedBoxes) -> tuple[Array, Array, Array | None]:
 def measure_boxes(view: View, boxes: PixelBoxes, first: Int[Array, "n"]) -> Fragments:
     """Measure the shares of pixels that boxes cover, in square windows around the boxes.
 
-    Args:
-        view: size of the pictures.
-        boxes: the boxes.
-        first: index of the first pixel of the picture that each box is painted in.
+    `first` is the index of the first pixel of the picture that each box is painted in.
     """
     cosine, sine = np.abs(boxes.cosine), np.abs(boxes.sine)
     along, across = boxes.half + 0.5

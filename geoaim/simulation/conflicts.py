@@ -47,15 +47,9 @@ class Conflicts:
 def find_conflicts(
     routes: Routes, sizes: Float[Tensor, "B A 2"], controlled: Bool[Tensor, "B A"]
 ) -> Conflicts:
-    """Find the conflicts of all pairs of agents, at least one of which is controlled.
+    """Find the conflicts of all pairs of agents (sizes in m), at least one of which is controlled.
 
-    Args:
-        routes: the routes of all agents, up to their recorded ends.
-        sizes: length and width, metres.
-        controlled: agents that react to others.
-
-    Returns:
-        The conflicts, on the routes' device.
+    Routes reach up to their recorded ends.
     """
     found = [np.empty((0, 10))]
     count = routes.points.shape[1]

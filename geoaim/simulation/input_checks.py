@@ -9,11 +9,7 @@ from torch import Tensor
 def check_traffic(
     states: Float[Tensor, "B N T 4"], **rest: tuple[Tensor, Sequence[str | int]]
 ) -> None:
-    """Check tensors of agents against their states.
-
-    Args:
-        states: (B, N, T, 4).
-        rest: each tensor, and its axes: "B", "N" and "T" as in the states, or numbers.
+    """Check tensors of agents, each with its axes: "B", "N", "T" as in the states, or numbers.
 
     Raises:
         ValueError: a tensor has another shape; the message names the argument.
@@ -35,15 +31,6 @@ def check_traffic(
 
 
 def check_shape(name: str, tensor: Tensor, shape: Sequence[int]) -> None:
-    """Check the shape of an argument.
-
-    Args:
-        name: the argument's name.
-        tensor: the argument.
-        shape: what is needed.
-
-    Raises:
-        ValueError: the tensor has another shape.
-    """
+    """Raise a ValueError that names an argument whose shape is another one than is needed."""
     if tuple(tensor.shape) != tuple(shape):
         raise ValueError(f"{name} has the shape {tuple(tensor.shape)}; {tuple(shape)} is needed")

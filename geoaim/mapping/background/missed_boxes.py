@@ -19,18 +19,11 @@ MIN_UNCOVERED = 0.5  # share of a box that boxes leave in a frame that lacks it
 
 
 def find_missed_vehicles(stack: Stack, seen: Masks, boxes: Sequence[Float[Array, "_ 4"]]) -> Masks:
-    """Find what other frames, that look the same there, have boxes of.
+    """Find, in each of K small frames, what other frames that look the same there have boxes of.
 
-    A box counts where most of the frames that look the same have it, so that a false box on the
-    ground hides nothing but itself.
-
-    Args:
-        stack: (K, h, w, 3) small frames.
-        seen: (K, h, w) what they show of the image outside of boxes.
-        boxes: for each frame, left, top, right and bottom, pixels of the small frames.
-
-    Returns:
-        (K, h, w) where boxes are missing.
+    A box (left, top, right, bottom; pixels of the small frames) counts where most of the frames
+    that look the same have it, so that a false box on the ground hides nothing but itself. `seen`
+    is what frames show of the image outside of boxes.
     """
     missed = np.zeros_like(seen)
     limit = np.tile(seen.shape[:0:-1], 2)

@@ -352,13 +352,7 @@ def compute_median(stack: UInt8[Array, "K h w c"], seen: Masks) -> UInt8[Array, 
 def estimate_noise(stack: Stack, seen: Masks, background: Image) -> float:
     """Robust standard deviation of frames about the background: the median over every fourth one.
 
-    Args:
-        stack: (K, h, w, 3) frames.
-        seen: (K, h, w) whether a frame shows a pixel.
-        background: (h, w, 3) the background.
-
-    Returns:
-        Grey levels; 0 where no frame shows anything.
+    In grey levels; 0 where no frame shows anything.
     """
     medians = [
         np.median(measure_difference(frame, background)[::4, ::4][visible[::4, ::4]])

@@ -13,18 +13,11 @@ FRAME_INSET_PX = 0.5  # a frame covers the area between the centres of its outer
 def warp(
     pixels: UInt8[Array, "H W *c"], matrix: Float[Array, "3 3"], size: tuple[int, int]
 ) -> UInt8[Array, "h w *c"]:
-    """Warp pixels with bilinear interpolation.
+    """Warp pixels with bilinear interpolation to a target of (height, width); edges are repeated.
 
     Bilinear takes a third of bicubic's time, and OpenCV's bicubic kernel (a = -0.75) shifts smooth
-    texture by up to 0.047 px. `sharpen_mean` restores what a mean of bilinear warps loses.
-
-    Args:
-        pixels: (H, W) or (H, W, C).
-        matrix: (3, 3) transform from pixels of the source to pixels of the target (corner origin).
-        size: (height, width) of the target, pixels.
-
-    Returns:
-        The target; pixels outside the source repeat its edge.
+    texture by up to 0.047 px. `sharpen_mean` restores what a mean of bilinear warps loses. The
+    matrix leads from pixels of the source to those of the target (corner origin).
     """
     matrix = to_opencv(matrix)
     matrix = matrix / matrix[2, 2]

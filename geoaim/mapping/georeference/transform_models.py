@@ -186,17 +186,7 @@ def undistort_points(pixels: Points, radial: float, height: int, width: int) -> 
 
 
 def distort_points(pixels: Points, radial: float, height: int, width: int) -> Points:
-    """Invert `undistort_points`, by Newton's method on the radius.
-
-    Args:
-        pixels: undistorted u, v.
-        radial: k of `undistort_points`.
-        height: height of the image, pixels.
-        width: width of the image, pixels.
-
-    Returns:
-        Pixels as they lie in the image.
-    """
+    """Invert `undistort_points`, by Newton's method on the radius."""
     centre = np.array([width, height]) / 2.0
     offset = np.asarray(pixels, np.float64) - centre
     target = np.linalg.norm(offset, axis=-1, keepdims=True) / half_diagonal(height, width)

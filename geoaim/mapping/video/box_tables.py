@@ -36,16 +36,10 @@ class FrameRows:
     remarks: tuple[str, ...] = ()
 
     def find(self, name: str | None, index: int, time: float) -> Int[Array, " _"] | None:
-        """Find the rows of a frame.
+        """Find the rows of a frame by the name of its image if it has one, its number or time (s).
 
-        Args:
-            name: file name of its image; None: it has none.
-            index: number of the frame.
-            time: of the frame, s.
-
-        Returns:
-            Numbers of rows; None: the boxes of the frame are not known. Between the first and the
-            last frame with rows, one where rows are to be expected by the stride has no boxes.
+        None: the boxes of the frame are not known. Between the first and the last frame with rows,
+        one where rows are to be expected by the stride has no boxes.
         """
         if self.of_name is not None and name is not None:
             return self.of_name.get(strip_zeros(Path(name).stem))

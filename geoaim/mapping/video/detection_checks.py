@@ -258,16 +258,10 @@ def judge_scores(scores: Float[Array, "M"]) -> tuple[Float[Array, "M"], str]:
 def name_classes(
     classes: Sequence[str], names: Sequence[str], usual: int | None, *, is_builtin: bool
 ) -> tuple[list[str], str]:
-    """Name classes that are numbers.
+    """Name classes that are numbers, and remark on what was assumed.
 
-    Args:
-        classes: of each box.
-        names: of class numbers in order, or pairs such as `3=car`.
-        usual: number of the first class in the format; None: formats differ.
-        is_builtin: whether the names are the format's own.
-
-    Returns:
-        Names, and a remark on what was assumed.
+    Names are in order of the numbers, or pairs such as `3=car`; `is_builtin` says that they are the
+    format's own. The first class in the format has the usual number; None: formats differ.
     """
     numbers = sorted({int(name) for name in set(classes) if name.isdecimal()})
     if not names or not numbers:
