@@ -94,7 +94,7 @@ def _counts_from_south(folder: Path, sides: list[float]) -> bool:
         return True
     level = tiles[tiles[:, 0] == tiles[:, 0].max()]
     corners = compute_tile_corners(
-        level[0, 0], level[:, 1:].min(axis=0), level[:, 1:].max(axis=0) + 1
+        int(level[0, 0]), level[:, 1:].min(axis=0), level[:, 1:].max(axis=0) + 1
     )
     # old versions exchanged longitude and latitude
     boxes = [_parse_bounds(",".join(str(sides[i]) for i in order)) for order in BOX_ORDERS]
