@@ -18,7 +18,8 @@ GATE = 16.0  # squared distance in standard deviations beyond which a detection 
 CUT_SIGMA_M = 1.5  # of the middle of a box that the frame's border may cut off, across it
 # minus twice the log of: a miss, and new agents or false boxes per m², inside and at the border
 MISS_COST, BIRTH_COST, BORDER_BIRTH_COST = 4.6, 13.8, 9.2
-TYPE_COST = 3.0  # the same of how seldom a detector changes its mind on an agent
+SIZE_SIGMA = 0.3  # of the logarithm of a box's side, between frames
+MAX_SIZE_COST, TYPE_COST = 6.0, 3.0
 MAX_GAP_S, MAX_GAP_STEPS = (
     0.6,
     2.5,
@@ -55,6 +56,7 @@ class _Candidates:
     born: Int[Array, " n"]  # step of the first one
     outward: Float[Array, "n 2"]  # unit vector to the border that may cut off the last one, or 0
     last: Float[Array, "n 2"]  # position of the last one, m
+    side: Float[Array, " n"]  # logarithm of the mean side of whole boxes, m; NaN if unknown
     types: Shaped[Array, " n"]
 
 
@@ -62,8 +64,8 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
     """Associate detections of all frames to tracks by optimal assignment to predicted positions.
 
     Tracks are predicted at constant velocity. The cost of a pair is minus twice its log likelihood,
-    against that of a miss and a new agent: of the distance and the type. A track counts from its
-    fifth detection on; what has fewer is false. The noise is that of the boxes so far.
+    against that of a miss and a new agent: of the distance, the size and the type. A track counts
+    from its fifth detection on; what has fewer is false. The noise is that of the boxes so far.
     """
     # frames without any box count neither as misses nor as steps: a detector may have been given
     # every third frame only
@@ -130,6 +132,7 @@ def _describe(
     """Describe detections as tracks that start with them."""
     mean, covariance = start(detections.position[rows], sigma[rows], START_SPEED_SIGMA)
     ones = np.ones(len(rows), int)
+    side = np.log(np.maximum(detections.extent[rows].prod(axis=1), 1e-6)) / 2
     return _Candidates(
         rows,
         mean,
@@ -140,6 +143,7 @@ def _describe(
         0 * ones,
         outward[rows],
         detections.position[rows],
+        np.where(outward[rows].any(axis=1), np.nan, side),
         detections.types[rows],
     )
 
@@ -182,6 +186,8 @@ def _compute_cost(
     )
     distance = along / variance[0] + across / variance[1]
     cost = distance + np.log(4 * np.pi**2 * variance.prod(axis=0))
+    sides = active.side[:, None] - new.side
+    cost += np.nan_to_num(np.minimum((sides / SIZE_SIGMA) ** 2, MAX_SIZE_COST))
     typed = (active.types[:, None] != "") & (new.types[None] != "")
     cost += TYPE_COST * (typed & (active.types[:, None] != new.types[None]))
     miss = np.where(_is_leaving(active), 0.0, MISS_COST)
@@ -202,6 +208,7 @@ def _update(
     values["misses"][matched] = 0
     for name in ("seen", "outward", "last"):
         values[name][matched] = getattr(new, name)
+    values["side"][matched] = np.where(np.isnan(new.side), active.side[matched], new.side)
     return _Candidates(**values)
 
 

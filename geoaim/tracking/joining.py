@@ -22,6 +22,8 @@ JOIN_NOISE = ((0.3, 0.3), (6.0, 0.3), (6.0, 25.0))
 MAX_END_DISTANCE = 9.0  # the same of an end of a track from what the rest of it tells
 STANDING_SIGMAS = (0.5, 0.7)  # m and m/s, of what stood before and after, for however long
 TYPE_COST = 5.0  # minus twice the log of how seldom an agent's type changes
+MIN_MOVING_SPEED = 2.0  # m/s, above which a velocity tells a direction
+TURN_COST = 10.0  # the same of how seldom an agent turns back while it is lost
 ROUNDS = 20  # of weighing pairs and counting what is left; later ones change nothing
 
 
@@ -88,6 +90,8 @@ def join_tracks(
         return np.arange(count)
     gap = first.time[late] - last.time[early]
     cost = _compare_motion(motion, last.row[early], first.row[late], gap)
+    starting, ending = _find_directions(motion, rows)
+    cost += TURN_COST * np.maximum(-(ending[early] * starting[late]).sum(axis=1), 0)
     cost += TYPE_COST * (np.array(types)[early] != np.array(types)[late])
     view = detections.view[rows.detection[first.row]]
     birth = _find_birth_density(motion.mean[first.row, 1], np.maximum(view, 1e-9), types)
@@ -241,6 +245,21 @@ def _compare(
     parts = offset.swapaxes(1, 2)[..., None]
     distance = (parts * np.linalg.solve(spread, parts)).sum(axis=(1, 2, 3))
     return np.asarray(distance + np.log(4 * np.pi**2 * np.linalg.det(spread)).sum(axis=1))
+
+
+def _find_directions(
+    motion: TrackMotion, rows: TrackRows
+) -> tuple[Float[Array, "N 2"], Float[Array, "N 2"]]:
+    """Find the first and the last direction in which each track moves; 0 if it never does."""
+    velocity = motion.mean[:, 1]
+    speed = np.hypot(*velocity.T)
+    moving = np.flatnonzero(speed > MIN_MOVING_SPEED)
+    bounds = np.searchsorted(rows.agent[moving], np.arange(len(rows.bounds)))
+    moves = np.diff(bounds) > 0
+    found = np.zeros((2, len(moves), 2))
+    for number, edge in enumerate((bounds[:-1][moves], bounds[1:][moves] - 1)):
+        found[number, moves] = velocity[moving[edge]] / speed[moving[edge], None]
+    return found[0], found[1]
 
 
 def _assign(
