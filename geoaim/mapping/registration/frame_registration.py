@@ -26,11 +26,10 @@ from geoaim.mapping.registration.patches import (
     shrink_image,
 )
 from geoaim.mapping.registration.placements import (
-    MOVING_PART,
     AmbiguousPlacementError,
     Overview,
     choose_placement,
-    is_frozen,
+    is_at_rest,
     make_overview,
 )
 from geoaim.mapping.video.detections import Detections, convert_boxes, mask_boxes
@@ -50,8 +49,10 @@ INTERPOLATION_ERROR_PX = 0.012  # lower bound of the uncertainty
 BASE_RESIDUAL_PX = 0.08  # residual of plain video, which widens nothing
 RESIDUAL_INFLATION_PX = 0.13  # residual that widens by as much, if all neighbours share it
 MAX_MISLED_RATIO = 2.5  # largest widening by residuals, over the residual
+FROZEN_RATIO = 3.0  # the same where compression has frozen a part of the image
 MISFIT_QUANTILE = 0.8  # of the residuals, so that a fifth of the patches may lie on vehicles
-MIN_FROZEN_SHARE = 0.95  # share of inliers of a frozen image; with less only a part is frozen
+MISFIT_QUANTILE_AT_REST = 0.95  # where most of the image may be frozen
+FROZEN_QUANTILE = 0.25  # of the residuals, which a real image does not make smaller than 0.012 px
 MAX_MISFIT_PX = 4.0  # a larger residual is another motion
 GRID = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1, 5)), -1).reshape(-1, 2)
 MIN_OVERLAP = 0.55  # share of a keyframe's patches in view, below which another keyframe is made
@@ -132,18 +133,16 @@ def register_frame(
     repeats = chosen.overview.period is not None
     is_doubtful = registration.inlier_share < UNDOUBTED_INLIER_SHARE or repeats
     before = np.linalg.inv(chosen.reference_from_keyframe) @ prior
-    if registration.inlier_share < MIN_FROZEN_SHARE and is_frozen(alignment, chosen.fine, before):
-        share = 1 - registration.inlier_share
-        return reject(f"{MOVING_PART}: {share:.0%} of an image that is frozen"), alignment
-    if not (compare or is_doubtful):
+    rests = is_at_rest(alignment, chosen.fine, before)
+    if not (compare or is_doubtful or rests):
         return best
     try:
         alignment, other = choose_placement(
-            chosen.grey, grey, chosen.fine, chosen.overview, alignment
+            chosen.grey, grey, chosen.fine, chosen.overview, alignment, rests=rests
         )
     except AmbiguousPlacementError as error:
         return reject(str(error)), alignment
-    registration = _check_alignment(chosen, alignment)
+    registration = _check_alignment(chosen, alignment, rests=rests)
     if other is not None:
         registration = replace(registration, other_placement=chosen.reference_from_keyframe @ other)
     return registration, alignment
@@ -224,7 +223,9 @@ def _propose_starts(
             yield target, start, True
 
 
-def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> FrameRegistration:
+def _check_alignment(
+    keyframe: Keyframe, alignment: PatchAlignment | None, *, rests: bool = False
+) -> FrameRegistration:
     """Reject an alignment that cannot be trusted; chain a good one to the reference."""
     if alignment is None:
         return reject("too few patches match the reference")
@@ -233,7 +234,7 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     quality = float(np.median(alignment.correlation[alignment.in_view]))
     size = keyframe.fine.width, keyframe.fine.height
     spread = predict_uncertainty(keyframe.fine, alignment.motion, GRID * size)
-    stated = _widen_uncertainty(spread, *_measure_misfit(alignment))
+    stated = _widen_uncertainty(spread, *_measure_misfit(alignment, rests=rests))
     total = float(np.hypot(stated, keyframe.uncertainty))
     reason = ""
     if in_view < MIN_INLIERS:
@@ -249,25 +250,28 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     return FrameRegistration(matrix, reason, quality, share, total)
 
 
-def _measure_misfit(alignment: PatchAlignment) -> tuple[float, float]:
-    """Residual of the patches that match, px, NaN without any, and how much of it they share.
+def _measure_misfit(alignment: PatchAlignment, *, rests: bool) -> tuple[float, float, bool]:
+    """Residual of the patches that match, px, NaN without any; and whether a part is frozen.
 
-    Neighbours in a row of the grid share much where a part of the image moves, and little where
-    noise displaces each patch by itself.
+    Between them is the share of the residuals that neighbours in a row of the grid have in common:
+    much where a part of the image moves, little where noise displaces each patch by itself. Strong
+    compression repeats blocks of an earlier frame: they fit better than an image can. Where the
+    placement `rests`, the small part that moves may be the ground.
     """
     vectors = alignment.motion.residuals
     matches = alignment.correlation[alignment.fitted] > MIN_INLIER_CORRELATION
     vectors = vectors[matches & (np.hypot(*vectors.T) < MAX_MISFIT_PX)]
     if not vectors.size:
-        return np.nan, 1.0
+        return np.nan, 1.0, False
     residuals = np.hypot(*vectors.T)
-    misfit = float(np.quantile(residuals, MISFIT_QUANTILE))
-    cut = vectors * np.minimum(misfit / np.maximum(residuals, 1e-9), 1)[:, None]
+    share = MISFIT_QUANTILE_AT_REST if rests else MISFIT_QUANTILE
+    frozen, common, misfit = np.quantile(residuals, [FROZEN_QUANTILE, MISFIT_QUANTILE, share])
+    cut = vectors * np.minimum(common / np.maximum(residuals, 1e-9), 1)[:, None]
     shared = float((cut[1:] * cut[:-1]).sum() / max((cut**2).sum(), 1e-9))
-    return misfit, max(shared, 0.0)
+    return float(misfit), max(shared, 0.0), bool(frozen < INTERPOLATION_ERROR_PX)
 
 
-def _widen_uncertainty(spread: float, misfit: float, shared: float) -> float:
+def _widen_uncertainty(spread: float, misfit: float, shared: float, is_frozen: bool) -> float:
     """Widen the spread of the fit where the parts of the image disagree, all in px.
 
     What displaces some parts (compression, waves, a rolling shutter) also misleads the others.
@@ -275,6 +279,8 @@ def _widen_uncertainty(spread: float, misfit: float, shared: float) -> float:
     inflation = min(1 + (spread / UNCERTAINTY_INFLATION_PX) ** 2, MAX_INFLATION)
     excess = np.maximum(misfit**2 - BASE_RESIDUAL_PX**2, 0.0)
     misled = np.minimum(shared * excess / RESIDUAL_INFLATION_PX, MAX_MISLED_RATIO * misfit)
+    if is_frozen:
+        misled = FROZEN_RATIO * np.sqrt(excess)
     return float(np.linalg.norm([spread * inflation, misled, INTERPOLATION_ERROR_PX]))
 
 

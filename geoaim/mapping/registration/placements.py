@@ -28,6 +28,9 @@ MIN_TEXTURED_SHARE = 0.4  # smallest textured share of the image
 MAX_COMPETING_FIT_RATIO = 0.13  # share of the image that may fit at another placement
 # more if a camera hovers, so that the rest moves at least twice as far as the placement
 MAX_COMPETING_FIT_RATIO_HOVERING = 0.45
+# less if the placement does not move at all, like overlays and frozen images
+MAX_COMPETING_FIT_RATIO_AT_REST = 0.065
+MAX_REST_SHIFT_PX = 0.05  # mean displacement of the corners
 MAX_FROZEN_SHIFT_PX = 0.005  # from the frame before; of a calm drone 1 % of the frames move less
 # a camera that hovers moves more; frozen blocks of H.264 move less
 MIN_HOVERING_SHIFT_PX = 1.0
@@ -38,8 +41,7 @@ MAX_NEAR_FIT_RATIO = 0.65
 MIN_MOVING_SHARE = 0.025  # that tells another placement from chance
 MAX_OTHER_PEAK_STRENGTH = 0.4  # of another peak in the phase correlation, relative to the one found
 
-# begin the reasons of rejections
-MOVING_PART, CHANGING = "a part moves by itself", "what is seen changes"
+MOVING_PART = "a part moves by itself"  # begins the reason of a rejection
 
 
 PEAK_RADIUS_PX = 2  # two peaks are further apart, pixels of the small image
@@ -91,8 +93,10 @@ def choose_placement(
     template: PatchTemplate,
     overview: Overview,
     alignment: PatchAlignment,
+    *,
+    rests: bool,
 ) -> tuple[PatchAlignment, Float[Array, "3 3"] | None]:
-    """Accept a placement unless another fits nearly as well.
+    """Accept a placement unless another fits nearly as well, or less if it `rests`.
 
     On repeating texture it is first moved to the period that fits best.
     """
@@ -107,7 +111,9 @@ def choose_placement(
             f"too little texture: on {compared.textured_share:.0%} of the image"
         )
     limit, travel = MAX_COMPETING_FIT_RATIO, _measure_travel(alignment.matrix, template)
-    if _measure_distance(compared.moving, alignment.matrix, template) < MIN_COMPETING_DISTANCE_PX:
+    if rests:
+        limit = MAX_COMPETING_FIT_RATIO_AT_REST
+    elif _measure_distance(compared.moving, alignment.matrix, template) < MIN_COMPETING_DISTANCE_PX:
         limit = MAX_NEAR_FIT_RATIO
     elif travel > MIN_HOVERING_SHIFT_PX and _measure_travel(compared.moving, template) > 2 * travel:
         limit = MAX_COMPETING_FIT_RATIO_HOVERING
@@ -179,18 +185,17 @@ def _compare_blocks(
     return errors[1] - errors[0]
 
 
-def is_frozen(
+def is_at_rest(
     alignment: PatchAlignment, template: PatchTemplate, before: Float[Array, "3 3"]
 ) -> bool:
-    """Whether an image shows the reference to the last digit, or stays as the one `before`.
+    """Whether a placement is that of the reference or of the frame `before`.
 
-    So do frozen images and overlays, but no camera, however still it stands: it has noise.
+    So are overlays and frozen images.
     """
-    residuals = alignment.motion.residuals[alignment.inliers[alignment.fitted]]
-    is_exact = float(np.median(np.hypot(*residuals.T))) < MAX_FROZEN_SHIFT_PX
-    rests = _measure_travel(alignment.matrix, template) < MIN_HOVERING_SHIFT_PX
-    stays = _measure_distance(alignment.matrix, before, template) < MAX_FROZEN_SHIFT_PX
-    return stays or (rests and is_exact)
+    return (
+        _measure_travel(alignment.matrix, template) < MAX_REST_SHIFT_PX
+        or _measure_distance(alignment.matrix, before, template) < MAX_FROZEN_SHIFT_PX
+    )
 
 
 def _measure_travel(reference_from_frame: Float[Array, "3 3"], template: PatchTemplate) -> float:

@@ -26,20 +26,17 @@ from geoaim.mapping.registration.features import Features, detect_features, matc
 from geoaim.mapping.registration.frame_registration import (
     MIN_INLIERS,
     MIN_OVERLAP,
-    SUFFICIENT_INLIER_SHARE,
     FrameRegistration,
     Keyframe,
     compute_overlap,
     make_keyframe,
     mask_detections,
     register_frame,
-    reject,
     select_keyframe,
 )
 from geoaim.mapping.registration.hover import find_hovers
 from geoaim.mapping.registration.motion_models import Model, ModelChoice, PointMatches, choose_model
-from geoaim.mapping.registration.patches import PatchAlignment, align_patches, make_template
-from geoaim.mapping.registration.placements import CHANGING
+from geoaim.mapping.registration.patches import PatchAlignment
 from geoaim.mapping.registration.rest import (
     EVIDENCE_FRAMES,
     may_stand,
@@ -56,8 +53,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COMPARE_EVERY = 10  # frames, after which a placement is compared with others again
-# of the image's width, within which a view is that of a keyframe; waves drift by 0.3 % a frame
-MAX_SAME_VIEW_SHIFT_SHARE = 0.05
 COMPARE_SHIFT_SHARE = 1 / 240  # shift, in image widths, after which it is compared sooner
 PROBE_FRAMES = 5  # number of frames from which the reference and the model are chosen
 HOVER_FRAMES = 64  # among which hovers are searched where the probes show other views
@@ -299,7 +294,6 @@ def register_frames(
     keyframes = [reference.keyframe]
     prior = compared = np.eye(3)
     since = COMPARE_EVERY  # frames since a placement was compared with others
-    before: Frame | None = None  # the frame before, if it was registered
     for frame in frames:
         size = frame.grey.shape
         keyframe = select_keyframe(keyframes, prior, size)
@@ -309,10 +303,6 @@ def register_frames(
         registration, _ = register_frame(
             frame.grey, keyframes, keyframe, prior, reference.model, compare=compare
         )
-        shift = _measure_shift(prior, keyframe.reference_from_keyframe, size)
-        if not registration.valid and before is not None and shift < MAX_SAME_VIEW_SHIFT_SHARE:
-            registration = _name_change(registration, before, frame)
-        before = frame if registration.valid else None
         yield frame, registration
         since += 1
         if not registration.valid:
@@ -327,15 +317,6 @@ def register_frames(
             new = make_keyframe(frame, features, detections, prior, registration.uncertainty)
             if len(new.fine.points) >= MIN_INLIERS:
                 keyframes.append(new)
-
-
-def _name_change(registration: FrameRegistration, before: Frame, frame: Frame) -> FrameRegistration:
-    """Say why a frame is lost if the one before shows the same, as where waves change slowly."""
-    template = make_template(before.grey)
-    alignment = align_patches(template, frame.grey, np.eye(3), "homography")
-    if alignment is None or alignment.inliers.mean() < SUFFICIENT_INLIER_SHARE:
-        return registration
-    return reject(f"{CHANGING}: the frame before shows the same, the reference does not")
 
 
 def _measure_shift(

@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 from geoaim.base.errors import RegistrationError
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.registration.frame_registration import FrameRegistration
-from geoaim.mapping.registration.placements import CHANGING, MOVING_PART
+from geoaim.mapping.registration.placements import MAX_REST_SHIFT_PX, MOVING_PART
 
 MIN_FRAMES = 5  # of a sequence that is checked
 MIN_JUMP_SHARE = 0.01  # of the image's width; a smaller jump is not an error
@@ -22,7 +22,6 @@ MAX_AMBIGUOUS_SHARE = 0.5  # of the frames
 MAX_STEP_RATIO = 0.7  # a step is the shorter one if it has at most this share of the other's length
 MIN_STEP_SHARE = 1 / 320  # of the image's width, by which the steps must differ
 MIN_SHORTER_STEPS = 2  # a single one may be chance
-MAX_REST_SHIFT_PX = 0.05  # mean displacement of the corners where the camera stands
 MAX_STILL_SHARE = 1 / 240  # of the image's width, within which another placement does not move
 
 
@@ -36,12 +35,10 @@ def check_ground(frames: Iterable[FrameRegistration], size: tuple[int, int]) -> 
         "ground that stands still, when there is less of these, or at a higher bit rate; if the "
         "camera stands on a mast or a tripod, say so (--fixed-camera)"
     )
-    ambiguous, what = sum(MOVING_PART in frame.reason for frame in frames), MOVING_PART
-    if any(CHANGING in frame.reason for frame in frames):  # waves, which no frame tells from ground
-        ambiguous, what = sum(not frame.valid for frame in frames), CHANGING
+    ambiguous = sum(MOVING_PART in frame.reason for frame in frames)
     if ambiguous > MAX_AMBIGUOUS_SHARE * len(frames) and not _is_still(frames, size):
         raise RegistrationError(
-            f"{what} in {ambiguous} of {len(frames)} frames, so that the ground is not "
+            f"{MOVING_PART} in {ambiguous} of {len(frames)} frames, so that the ground is not "
             f"known in the others either; {advice}"
         )
     shorter, longer = _compare_steps(frames, size)

@@ -70,6 +70,19 @@ def test_parts_that_disagree_widen_the_statement(keyframes):
     assert not torn.valid or torn.uncertainty > 0.5
 
 
+def test_blocks_that_compression_froze_widen_the_statement(keyframes):
+    moved = view(5).copy()
+    right = np.s_[:, 7 * moved.shape[1] // 10 :]
+    moved[right] = np.rint(view(5)[right] * 0.5 + view(6)[right] * 0.5).astype(np.uint8)
+    noise = np.random.default_rng(0).normal(0, 3, moved.shape)
+    noisy = np.rint(moved + noise).clip(0, 255).astype(np.uint8)
+    frozen, alive = (
+        register_frame(frame, keyframes[:1], keyframes[0], np.eye(3), "translation")[0]
+        for frame in (moved, noisy)
+    )
+    assert frozen.uncertainty > 1.2 * alive.uncertainty
+
+
 @pytest.mark.parametrize("quality", [5, 10, 20])
 def test_noise_of_each_patch_by_itself_hardly_misleads_the_rest(keyframes, quality):
     code = cv2.imencode(".jpg", view(5), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.registration.stability.clips import SweepCase, make_clip
 from benchmarks.synthetic.camera import reference_from_frames, render_frame
 from geoaim.base.errors import RegistrationError
 from geoaim.base.geometry import image_corners, transform_points
@@ -199,10 +198,3 @@ def test_a_given_time_and_model_leave_nothing_to_read_but_the_reference(frames):
     reference = choose_reference(noted, time=3.0, model="similarity")
     assert (reference.index, reference.model) == (3, "similarity")
     assert read == [([3.0], 0.0)]
-
-
-def test_waves_alone_are_refused():
-    """They fit the reference for two frames, then only each other."""
-    case = SweepCase("water", 5, 0.0, "warped", "junction", (270, 480), 7)
-    with pytest.raises(RegistrationError, match="what is seen changes"):
-        register(make_clip(case).frames, reference_time=0.0)
