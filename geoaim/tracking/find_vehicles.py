@@ -91,8 +91,9 @@ def search_frames(
             change, excess = ground.compare(image, image_from_world)
             seen = find_peaks(image, LOWEST)
             peaks = join_peaks([seen, find_peaks(change, LOWEST)])
-            odds = _weigh(peaks, excess, len(seen.logits))
-            found[frame.index] = _choose(peaks, odds, shrink)
+            inside = _sample_inside(peaks)
+            odds = _weigh(peaks, inside, excess, len(seen.logits))
+            found[frame.index] = _choose(peaks, inside, odds, shrink)
             progress("find vehicles", len(found), len(chosen))
     return [found.get(index) for index in matrices]
 
@@ -154,9 +155,10 @@ class _Ground:
         return even, known * (1 + largest.astype(np.float32)) / typical
 
 
-def _weigh(peaks: Peaks, excess: Float32[Array, "H W"], in_frame: int) -> Float[Array, " N"]:
+def _weigh(
+    peaks: Peaks, inside: Float[Array, "N n 2"], excess: Float32[Array, "H W"], in_frame: int
+) -> Float[Array, " N"]:
     """Weigh peaks, the first of which are of the frame itself, and say their log odds."""
-    inside = _sample_inside(peaks)
     last = np.array(excess.shape[::-1]) - 1
     columns, rows = np.moveaxis(inside.clip(0, last).astype(int), 2, 0)
     moved = np.log(np.maximum(excess[rows, columns].mean(axis=1) / USUAL, 1))
@@ -172,9 +174,11 @@ def _sample_inside(peaks: Peaks) -> Float[Array, "N n 2"]:
     return peaks.centres[:, None] + WITHIN[:, :1] * along + WITHIN[:, 1:] * across
 
 
-def _choose(peaks: Peaks, odds: Float[Array, " N"], shrink: Float[Array, "2"]) -> DetectedBoxes:
+def _choose(
+    peaks: Peaks, inside: Float[Array, "N n 2"], odds: Float[Array, " N"], shrink: Float[Array, "2"]
+) -> DetectedBoxes:
     """Choose the probable peaks, the best of each place, as boxes in pixels of the frame."""
-    corners, inside = peaks.get_corners(), _sample_inside(peaks)
+    corners = peaks.get_corners()
     likely = np.flatnonzero(odds > np.log(MIN_PROBABILITY / (1 - MIN_PROBABILITY)))
     kept = likely[_find_single(corners[likely], inside[likely], odds[likely])]
     is_long = peaks.lengths[kept] * RESOLUTION > MAX_CAR_LENGTH_M

@@ -20,6 +20,7 @@ from geoaim.mapping.video.video import open_video
 from geoaim.tracking.association import Tracklets
 from geoaim.tracking.find_vehicles import (
     _choose,
+    _sample_inside,
     _weigh,
     keep_certain,
     measure_certainty,
@@ -98,7 +99,9 @@ def weigh(logits, excess, lengths=(16.0, 16.0), second=(60.0, 20.0), in_frame=2)
     picture[:, 40:] = excess
     widths = np.full(2, 7.0)
     peaks = Peaks(centres, np.zeros(2), np.array(lengths), widths, np.array(logits))
-    return _choose(peaks, _weigh(peaks, picture, in_frame), np.array([0.5, 0.5]))
+    inside = _sample_inside(peaks)
+    odds = _weigh(peaks, inside, picture, in_frame)
+    return _choose(peaks, inside, odds, np.array([0.5, 0.5]))
 
 
 def test_what_differs_from_the_map_is_more_probably_a_vehicle():
