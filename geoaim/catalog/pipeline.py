@@ -214,6 +214,8 @@ def build_catalog(
         # a store that does not answer takes no map away
         if record.status == "refused" or earlier is None or earlier.status != "built":
             write_record(record, get_folder(address, record.name))
+    if unlisted and not tasks:  # what is built reads them anew below
+        records = read_records(address)[0]
     while tasks:
         left = len(tasks)
         for record in run_tasks(tasks, cluster or Cluster(), progress):
@@ -226,8 +228,6 @@ def build_catalog(
         # another run may have written records too; those of failures may not be there
         records, tree, _ = read_records(address)
         tasks = plan.list_ready(records, tree)
-    if new:
-        records = read_records(address)[0]
     if find_listing_problems(list(records.values()), address):
         write_listing(list(records.values()), address)
     return Catalog(address, dict(sorted({**records, **new}.items())), tuple(new))
