@@ -228,9 +228,10 @@ def _judge(
 def _write_report(placed: PlacedVideo, video: Video, path: Path) -> None:
     parts = ("verdicts", "shares", "known", "missing", "warnings")
     content: dict[str, Any] = {name: getattr(placed, name) for name in parts}
-    content["video"] = find_video_file(video.source)  # which `geoaim view` shows beside the map
+    file = find_video_file(video.source)  # which `geoaim view` shows beside the map
+    content["video"] = None if file is None else str(file)
     content["verdicts"] = {name: asdict(one) for name, one in placed.verdicts.items()}
-    path.write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def _check(evidence: Evidence, video: Video) -> None:

@@ -69,7 +69,7 @@ def open_remote(address: str, region: Region | None, resolution: float | None) -
         ImageryError: it does not answer, or is no imagery.
     """
     name, service = name_remote(address), _find_service(address)
-    if urlsplit(address).path.lower().endswith(("json", "geojson")) and service is None:
+    if urlsplit(address).path.lower().endswith("json") and service is None:
         address = _find_asset(address)
     is_jp2 = urlsplit(address).path.lower().endswith(".jp2")
     target, driver = f"/vsicurl/{address}", "JP2OpenJPEG" if is_jp2 else "GTiff"
@@ -104,10 +104,7 @@ def copy_part(
     """
     if region is None or dataset.crs is None:
         if dataset.width * dataset.height > MAX_WHOLE_PX:
-            raise ImageryError(
-                f"{name} is a service of the whole Earth: give what says where, "
-                + name_option("--aim or --tracks", "the world and the corners")
-            )
+            raise _ask_where(name)
         rasterio.shutil.copy(dataset, path, driver="GTiff")
         return
     window = _find_window(dataset, region, name)
@@ -147,6 +144,14 @@ def copy_part(
                     f"{name} took over {TOTAL_S:.0f} s for {(top + rows) / height:.0%} of what is "
                     "needed: ask for less, " + name_option("--resolution", "resolution=")
                 )
+
+
+def _ask_where(name: str) -> ImageryError:
+    """What is said of a service without a region."""
+    return ImageryError(
+        f"{name} is a service of the whole Earth: give what says where, "
+        + name_option("--aim or --tracks", "the world and the corners")
+    )
 
 
 def _is_service(dataset: Any) -> bool:
@@ -201,10 +206,7 @@ def _describe_wms(address: str, name: str, region: Region | None, resolution: fl
             f"{name} is a WMS: name its layer, https://host/wms?service=WMS&layers=NAME"
         )
     if region is None:
-        raise ImageryError(
-            f"{name} is a service of the whole Earth: give what says where, "
-            + name_option("--aim or --tracks", "the world and the corners")
-        )
+        raise _ask_where(name)
     crs = query.get("crs") or query.get("srs") or "EPSG:3857"
     points = region.to_crs(crs)
     (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
