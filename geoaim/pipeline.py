@@ -330,7 +330,7 @@ def _track(
     try:
         followed = follow_video(video, aim, evidence.detections, hdmap, None, progress)
         if evidence.detections is None:
-            followed = replace(followed, tracks=resample_tracks(followed.tracks, FILM_RATE))
+            followed = replace(followed, tracks=_thin(followed.tracks))
         return followed, ""
     except (TracksError, RegistrationError) as error:
         if evidence.detections is not None:
@@ -347,10 +347,8 @@ def _film(
     progress: Progress,
 ) -> None:
     """Write a film of the tracks on the video, and beside it on the map, with the lights."""
-    tracks = followed.tracks
+    tracks = _thin(followed.tracks)
     rate = 1 / float(np.median(np.diff(tracks.times)))
-    if rate > FILM_RATE:
-        tracks, rate = resample_tracks(tracks, FILM_RATE), FILM_RATE
     on_video = draw_on_video(
         video, followed.poses, tracks, height=FILM_HEIGHT_PX, trail=FILM_TRAIL_S
     )
@@ -358,6 +356,12 @@ def _film(
     pictures = (_put_beside(*pair) for pair in zip(on_video, on_map, strict=True))
     reported = report_each(pictures, progress, "film", len(tracks.times))
     write_pictures(reported, path, frame_rate=rate)
+
+
+def _thin(tracks: Tracks) -> Tracks:
+    """Resample tracks of many states a second to the rate of the film."""
+    is_dense = np.median(np.diff(tracks.times)) < 1 / FILM_RATE
+    return resample_tracks(tracks, FILM_RATE) if is_dense else tracks
 
 
 def _put_beside(one: UInt8[Array, "h w 3"], other: UInt8[Array, "H W 3"]) -> UInt8[Array, "_ _ 3"]:

@@ -133,6 +133,13 @@ def test_what_cannot_be_used_is_said(junction):
     assert judge_scale(result.aim, small).grade == "unusable"
 
 
+def test_pictures_a_second_apart_are_followed_as_they_are_and_judged(video, tmp_path):
+    frames = [frame.image for frame in islice(video, 0, 20, 5)]
+    result = geoaim.place_video(open_video(frames, rate=1.0), tmp_path / "slides")
+    assert set(np.diff(result.tracks.times)) == {1.0}
+    assert "1 s apart" in result.known["verdict: tracks"]
+
+
 def test_warnings_of_the_run_are_in_the_report(video, tmp_path, monkeypatch):
     build = pipeline.build_aim
 

@@ -39,12 +39,14 @@ def place(
     Example: geoaim place samples/hover.mp4 -o junction
     """
     from geoaim.base.files import check_new_folder
+
+    with report_errors():
+        check_new_folder(output)  # before the other imports, which take seconds
     from geoaim.imagery.alignment.placing import parse_near
     from geoaim.mapping.video.video import open_video
     from geoaim.pipeline import Evidence, place_video
 
     with show_progress() as progress, report_errors():
-        check_new_folder(output)
         evidence = Evidence(
             points=points,
             imagery=list(imagery) if imagery else None,

@@ -133,8 +133,7 @@ def place_reference(
             f"the AIM covers {seen.mean():.0%} of the frame at {frame.time:.2f} s; at least "
             f"{MIN_COVERED:.0%} are needed"
         )
-    seen_view = Frame(0, frame.time, None, view)
-    keyframe = make_keyframe(seen_view, detect_features(view, exclude=~seen), None, np.eye(3), 0.0)
+    keyframe = make_keyframe(view, ~seen, np.eye(3), 0.0)
     placement, _ = register_frame(frame.grey, [keyframe], keyframe, np.eye(3), "homography")
     if not placement.valid:
         raise RegistrationError(

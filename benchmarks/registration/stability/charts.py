@@ -120,7 +120,8 @@ def _draw_strip(axes: Axes, frames: pd.DataFrame, row: int, *, has_levels: bool)
             left += share
         if has_levels:
             middle = (number + 0.47) * width
-            text = axes.text(middle, row, f"{own.level.iloc[0]:.2g}", fontsize=6.5)
+            level = np.format_float_positional(own.level.iloc[0], 2, fractional=False, trim="-")
+            text = axes.text(middle, row, level, fontsize=6.5)
             text.set(
                 ha="center", va="center", path_effects=[withStroke(linewidth=1.5, foreground="w")]
             )

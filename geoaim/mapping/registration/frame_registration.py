@@ -7,6 +7,7 @@ features matched.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -83,11 +84,16 @@ class Keyframe:
     grey: UInt8[Array, "H W"]  # its image
     coarse: PatchTemplate  # its patches on a coarse pyramid level
     fine: PatchTemplate  # its patches at full size
-    features: Features  # its ORB features
+    exclude: Bool[Array, "H W"] | None  # where vehicles hide the ground; None if not known
     overview: Overview  # its small image, in which other placements of a frame are found
     # transform in pixels; the identity for the reference itself
     reference_from_keyframe: Float[Array, "3 3"]
     uncertainty: float  # standard deviation over the image, root mean square, pixels
+
+    @cached_property
+    def features(self) -> Features:
+        """Its ORB features, which are needed only where a frame lies far from the one before."""
+        return detect_features(self.grey, exclude=self.exclude)
 
 
 def register_frame(
@@ -149,33 +155,30 @@ def register_frame(
 
 
 def make_keyframe(
-    frame: Frame,
-    features: Features,
-    detections: Detections | None,
+    grey: UInt8[Array, "H W"],
+    exclude: Bool[Array, "H W"] | None,
     reference_from_keyframe: Float[Array, "3 3"],
     uncertainty: float,
 ) -> Keyframe:
     """Prepare a frame as a keyframe.
 
     Args:
-        frame: the frame.
-        features: its ORB features.
-        detections: vehicles to leave out.
+        grey: the frame.
+        exclude: where vehicles hide the ground.
         reference_from_keyframe: its transform to the reference, pixels.
         uncertainty: uncertainty of that transform over the image, pixels.
 
     Returns:
         The keyframe.
     """
-    exclude = mask_detections(frame, detections)
-    height, width = frame.grey.shape
+    height, width = grey.shape
     factor = max(min(round(width / COARSE_WIDTH_PX), height // (4 * PATCH_SIDE_PX)), 1)
     return Keyframe(
-        frame.grey,
-        make_template(frame.grey, factor=factor, exclude=exclude),
-        make_template(frame.grey, exclude=exclude),
-        features,
-        make_overview(shrink_image(frame.grey, factor), scale=1 / factor, exclude=exclude),
+        grey,
+        make_template(grey, factor=factor, exclude=exclude),
+        make_template(grey, exclude=exclude),
+        exclude,
+        make_overview(shrink_image(grey, factor), scale=1 / factor, exclude=exclude),
         reference_from_keyframe,
         uncertainty,
     )

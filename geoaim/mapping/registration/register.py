@@ -68,7 +68,7 @@ Row = tuple[int, float, FrameRegistration]  # index, time (s) and registration o
 class Reference:
     """The frame to which all others are registered."""
 
-    keyframe: Keyframe  # its patches and features
+    keyframe: Keyframe  # its image and patches
     index: int  # its number in the video
     time: float  # seconds
     model: Model  # motion model of the registration
@@ -313,8 +313,8 @@ def register_frames(
             since = 1
         prior = registration.reference_from_frame
         if compute_overlap(select_keyframe(keyframes, prior, size), prior, size) < MIN_OVERLAP:
-            features = detect_features(frame.grey, exclude=mask_detections(frame, detections))
-            new = make_keyframe(frame, features, detections, prior, registration.uncertainty)
+            hidden = mask_detections(frame, detections)
+            new = make_keyframe(frame.grey, hidden, prior, registration.uncertainty)
             if len(new.fine.points) >= MIN_INLIERS:
                 keyframes.append(new)
 
@@ -347,8 +347,7 @@ def _choose_best_connected(features: list[Features], size: tuple[int, int]) -> i
 
 def _make_reference(frame: Frame, detections: Detections | None, model: Model | None) -> Reference:
     """Make a frame the reference; a model that is yet to be chosen is the homography."""
-    features = detect_features(frame.grey, exclude=mask_detections(frame, detections))
-    keyframe = make_keyframe(frame, features, detections, np.eye(3), 0.0)
+    keyframe = make_keyframe(frame.grey, mask_detections(frame, detections), np.eye(3), 0.0)
     size = frame.grey.shape
     return Reference(keyframe, frame.index, frame.time, model or "homography", None, *size)
 

@@ -3,7 +3,6 @@ import numpy as np
 import pytest
 
 from geoaim.base.geometry import translation
-from geoaim.mapping.registration.features import detect_features
 from geoaim.mapping.registration.frame_registration import (
     Keyframe,
     compute_overlap,
@@ -11,7 +10,6 @@ from geoaim.mapping.registration.frame_registration import (
     register_frame,
     select_keyframe,
 )
-from geoaim.mapping.video.frames import Frame
 from tests.conftest import textured
 
 GROUND = textured(np.random.default_rng(2), 240, 700)
@@ -23,16 +21,7 @@ def view(left: int) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def keyframes() -> list[Keyframe]:
-    return [
-        make_keyframe(
-            Frame(left, 0.0, None, view(left)),
-            detect_features(view(left)),
-            None,
-            translation(left, 0),
-            0.0,
-        )
-        for left in (0, 250)
-    ]
+    return [make_keyframe(view(left), None, translation(left, 0), 0.0) for left in (0, 250)]
 
 
 def test_overlap_falls_with_the_distance_from_the_keyframe(keyframes):

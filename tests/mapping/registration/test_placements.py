@@ -4,7 +4,6 @@ import pytest
 from benchmarks.registration.stability.clips import SweepCase, make_clip
 from benchmarks.registration.stability.sweep import run_geoaim
 from geoaim.base.geometry import translation
-from geoaim.mapping.registration.features import Features
 from geoaim.mapping.registration.frame_registration import make_keyframe, register_frame
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
 from geoaim.mapping.registration.placements import (
@@ -14,7 +13,6 @@ from geoaim.mapping.registration.placements import (
     is_at_rest,
     make_overview,
 )
-from geoaim.mapping.video.frames import Frame
 from tests.conftest import textured
 
 HEIGHT, WIDTH, FACTOR = 270, 480, 2
@@ -94,8 +92,7 @@ def test_a_frozen_part_states_what_moves_beside_it(before):
     reference, live = scene[:, 10 : 10 + WIDTH], scene[:, 7 : 7 + WIDTH]
     frozen = np.roll(reference, int(before), axis=1)
     frame = np.hstack([frozen[:, :400], live[:, 400:]])
-    none = Features(np.empty((0, 2)), np.empty((0, 32), np.uint8))
-    keyframe = make_keyframe(Frame(0, 0.0, None, reference.copy()), none, None, np.eye(3), 0.0)
+    keyframe = make_keyframe(reference.copy(), None, np.eye(3), 0.0)
     result, _ = register_frame(
         frame, [keyframe], keyframe, translation(-before, 0.0), "translation", compare=False
     )
@@ -123,8 +120,7 @@ def test_detected_vehicles_do_not_contradict_a_placement():
 
 def test_a_frame_at_rest_is_compared_even_if_others_were_just_now():
     overlaid, later = film_traffic(shift=40, share=0.15)
-    none = Features(np.empty((0, 2)), np.empty((0, 32), np.uint8))
-    keyframe = make_keyframe(Frame(0, 0.0, None, overlaid), none, None, np.eye(3), 0.0)
+    keyframe = make_keyframe(overlaid, None, np.eye(3), 0.0)
     result, _ = register_frame(later, [keyframe], keyframe, np.eye(3), "similarity", compare=False)
     assert "moves by itself" in result.reason
 
