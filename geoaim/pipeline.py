@@ -174,12 +174,13 @@ def _place(
     video: Video, folder: Path, evidence: Evidence, warnings: list[str], progress: Progress
 ) -> PlacedVideo:
     """Do what `place_video` does, in a folder that is there; warnings are added to the list."""
-    aim = _build(video, evidence, progress)
+    built = _build(video, evidence, progress)
+    aim = built if built.is_affine else rectify(built)  # as `write_aim` writes it
     of_map = tuple(warnings)
     write_aim(aim, folder / MAP_FILE)
     write_figure(draw_quicklook(aim), folder / LOOK_FILE)
     hdmap, lights = _copy_roads(evidence, aim.world, folder)
-    followed, reason = _track(video, aim, evidence, hdmap, progress)
+    followed, reason = _track(video, built, evidence, hdmap, progress)
     of_tracks = tuple(warnings[len(of_map) :])
     tracks = None if followed is None else followed.tracks
     if followed is not None:
@@ -268,7 +269,7 @@ def _check_resolution(resolution: float) -> None:
 
 
 def _build(video: Video, evidence: Evidence, progress: Progress) -> AIM:
-    """Build the map, in its place where that is known, as `write_aim` writes it."""
+    """Build the map, in the pixels of its reference frame, in its place where that is known."""
     chosen: dict[str, Any] = {"detections": evidence.detections, "progress": progress}
     size = video.height, video.width
     if evidence.frame_resolution is not None:
@@ -281,15 +282,15 @@ def _build(video: Video, evidence: Evidence, progress: Progress) -> AIM:
             if evidence.points is not None:
                 raise
             aim = _build_by_vehicles(video, chosen)
-    if evidence.imagery is not None:
-        aim = place_by_imagery(
-            aim,
-            evidence.imagery,
-            near=evidence.near,
-            accuracy=evidence.imagery_accuracy,
-            progress=progress,
-        )
-    return aim if aim.is_affine else rectify(aim)
+    if evidence.imagery is None:
+        return aim
+    return place_by_imagery(
+        aim,
+        evidence.imagery,
+        near=evidence.near,
+        accuracy=evidence.imagery_accuracy,
+        progress=progress,
+    )
 
 
 def _build_by_vehicles(video: Video, chosen: dict[str, Any]) -> AIM:

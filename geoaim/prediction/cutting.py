@@ -140,7 +140,7 @@ def _keep_observed(scene: Scene, unless: Bool[Tensor, "N"] | None = None) -> Sce
     """
     present = mark_sure(scene)
     if unless is not None:
-        known = scene.present & torch.isfinite(scene.observed).all(dim=2)
+        known = scene.present & torch.isfinite(scene.observed[..., :3]).all(dim=2)
         present |= known & unless[:, None]
     return replace(scene, present=present)
 
@@ -191,7 +191,8 @@ def _cut(
     piece: Scene, agents: Int[Tensor, "B n"], controlled: Bool[Tensor, "B n"], dt: float
 ) -> Segments:
     """Segments of all steps of a piece of a scene, each with its own agents, as observed."""
-    states = torch.where(piece.present[..., None], piece.observed, 0.0)
+    # whose sense is not known has no speed, and stands in the way of others
+    states = torch.where(piece.present[..., None], piece.observed, 0.0).nan_to_num()
     count = len(agents)
     return Segments(
         states=states[agents],

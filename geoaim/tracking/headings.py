@@ -20,6 +20,7 @@ MOVING_SPEED = 0.7  # m/s, above which a vehicle certainly moves
 MIN_MOVE_M = 1.0  # length of a piece of path that tells in which direction a vehicle faces
 MAX_TURN_RAD = 2.1  # a change of direction at a stop by more is a change into or out of reverse
 SETTLING_M = 2.5  # of a path whose chord gives its first direction
+MIN_FORWARD_M = 3.0  # over which a vehicle drives forward
 SLACK_M = 0.3  # by which the middle may come nearer to the rear axle
 
 

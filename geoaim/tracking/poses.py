@@ -3,32 +3,33 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from geoaim.base.geometry import wrap_angle
 from geoaim.tracking.ground_detections import GroundDetections
 from geoaim.tracking.headings import (
+    MIN_FORWARD_M,
     MOVING_SPEED,
     REAR_AXLE_SHARE,
     compute_headings,
     observe_headings,
 )
 from geoaim.tracking.kalman import TrackMotion, TrackRows
-from geoaim.tracking.sizes import AgentTraits, get_typical_size
+from geoaim.tracking.sizes import AgentTraits
 from geoaim.tracking.standing import (
+    LANE_SIGMA_RAD,
     LINE_SIGMA_RAD,
     UNKNOWN_SIGMA_RAD,
     Directions,
-    find_standing_heading,
+    Standing,
+    find_standing,
 )
 from geoaim.tracks.agent_types import find_group
 from geoaim.tracks.tracks import estimate_heading
 
 MAX_REVERSE_SPEED = 3.5  # m/s; a faster vehicle drives forward
-MIN_FORWARD_M = 3.0  # over which it does
 MIN_TRAVEL_M = 1.5  # of a vehicle that does not stand all the time
-ORIENTED_SIGMA_RAD = 0.05  # of the heading of an oriented box
 # by which errors of the middle turn a vehicle: its axle averages them, and a stop keeps one
 MOVING_SHARE, STILL_SHARE = 0.75, 1.7
 
@@ -47,8 +48,13 @@ def compute_poses(
     agents: AgentTraits,
     detections: GroundDetections,
     lanes: Directions | None,
+    forward: float,
 ) -> Poses:
-    """Compute headings and speeds from smoothed motion; lanes tell those of vehicles that stand."""
+    """Compute headings and speeds from smoothed motion.
+
+    Lanes tell those of vehicles that stand, or boxes, whose first sides are fronts with a
+    probability `forward`.
+    """
     heading, sigma = np.empty(len(rows.step)), np.empty(len(rows.step))
     turning = np.array([turns_on_spot(kind) for kind in agents.types], bool)
     for agent, part in enumerate(rows.list_parts()):
@@ -57,9 +63,11 @@ def compute_poses(
             heading[part], sigma[part] = _compute_directions(motion)
             continue
         seen = rows.detection[part]
-        standing = find_standing(detections, seen[seen >= 0], agents.types[agent], lanes)
+        stands = find_standing(detections, seen[seen >= 0], agents.types[agent], lanes)
+        standing, unsure = stands.face(np.array(forward))
         length = float(agents.sizes[agent, 0])
-        found = _compute_vehicle_headings(motion, length, standing, seen >= 0)
+        given = float(standing), float(unsure)
+        found = _compute_vehicle_headings(motion, length, given, seen >= 0)
         heading[part], sigma[part] = found
     velocity = smoothed.mean[:, 1]
     speed = np.where(
@@ -78,12 +86,17 @@ def turns_on_spot(kind: str) -> bool:
 
 
 def observe_states(
-    filtered: TrackMotion, rows: TrackRows, agents: AgentTraits, standing: Float[Array, "N"]
+    filtered: TrackMotion,
+    rows: TrackRows,
+    agents: AgentTraits,
+    standing: list[Standing],
+    forward: Float[Array, "T"],
 ) -> Float[Array, "S 5"]:
     """Compute the states that are known at each time, and the deviations of their speeds, m/s.
 
-    The motion knows the detections until each time. `standing` is the heading of each vehicle
-    before it moves, rad, NaN if it is unknown. A row is NaN where the heading is not known yet.
+    The motion knows the detections until each time. `standing` tells each vehicle's heading before
+    it moves, and `forward` how far its boxes do at each step; while its sense is not known, the
+    speed is NaN.
     """
     observed = np.full((len(rows.step), 5), np.nan)
     for agent, part in enumerate(rows.list_parts()):
@@ -92,13 +105,16 @@ def observe_states(
             heading = estimate_heading(velocity[None], causal=True)[0]
             speed = np.hypot(*velocity.T)
         else:
-            given = None if np.isnan(standing[agent]) else float(standing[agent])
+            stands = standing[agent]
+            given = stands.heading if stands.sigma <= LANE_SIGMA_RAD else None
             heading = observe_headings(path, float(agents.sizes[agent, 0]), given)
+            facing, unsure = stands.face(forward[rows.step[part]])
+            unmoved = np.isnan(heading)
+            heading = np.where(unmoved, facing, heading)
             speed = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
-        sigma = np.sqrt(filtered.covariance[part, 1, 1])
-        states = np.column_stack([path, wrap_angle(heading), speed, sigma])
-        usable = np.isfinite(heading)
-        observed[part][usable] = states[usable]
+            speed[unmoved & (unsure >= LINE_SIGMA_RAD)] = np.nan
+        sigma = np.where(np.isnan(speed), np.nan, np.sqrt(filtered.covariance[part, 1, 1]))
+        observed[part] = np.column_stack([path, wrap_angle(heading), speed, sigma])
     return observed
 
 
@@ -117,12 +133,12 @@ def _compute_vehicle_headings(
 
     `standing` has both for the vehicle before it moves. A vehicle that drives faster than
     `MAX_REVERSE_SPEED` where it is seen drives forward; where a slower one moves, its sense is that
-    of `standing`.
+    of its lane. The front of its box is wrong more often than vehicles reverse.
     """
     path, velocity = motion.mean[:, 0], motion.mean[:, 1]
     fast = path[seen & (np.hypot(*velocity.T) > MAX_REVERSE_SPEED)]
     forward = len(fast) > 0 and np.hypot(*np.ptp(fast, axis=0)) > MIN_FORWARD_M
-    known = standing[1] < LINE_SIGMA_RAD
+    known = standing[1] <= LANE_SIGMA_RAD
     headings = None
     if np.hypot(*np.ptp(path, axis=0)) > MIN_TRAVEL_M:
         headings = compute_headings(path, velocity, length, standing[0] if known else None)
@@ -145,21 +161,3 @@ def find_heading_errors(
     """
     share = np.where(np.abs(speed) > MOVING_SPEED, MOVING_SHARE, STILL_SHARE)
     return share * error / np.maximum(REAR_AXLE_SHARE * length, 0.1)
-
-
-def find_standing(
-    detections: GroundDetections, seen: Int[Array, " m"], kind: str, lanes: Directions | None
-) -> tuple[float, float]:
-    """Find the heading of a vehicle of a kind where it stands, and its standard deviation, rad.
-
-    As `find_standing_heading` by its detections, but for oriented boxes, which tell its line.
-    """
-    middle = np.median(detections.position[seen], axis=0)
-    extent = np.median(detections.extent[seen], axis=0)
-    axis = float(np.angle(np.exp(2j * detections.axis[seen]).mean()) / 2)
-    heading, sigma = find_standing_heading(middle, axis, extent, get_typical_size(kind), lanes)
-    if detections.oriented[seen].all():
-        known = sigma < LINE_SIGMA_RAD
-        facing = axis if np.cos(heading - axis) >= 0 or not known else axis + np.pi
-        return facing, ORIENTED_SIGMA_RAD if known else LINE_SIGMA_RAD
-    return heading, sigma

@@ -13,13 +13,7 @@ from geoaim.tracking.ground_detections import GroundDetections
 from geoaim.tracking.joining import find_false_ends, join_tracks
 from geoaim.tracking.kalman import TrackMotion, TrackRows, filter_tracks, make_rows, smooth_tracks
 from geoaim.tracking.noise import estimate_lasting_noise, estimate_noise
-from geoaim.tracking.poses import (
-    Poses,
-    compute_poses,
-    find_heading_errors,
-    find_standing,
-    observe_states,
-)
+from geoaim.tracking.poses import Poses, compute_poses, find_heading_errors, observe_states
 from geoaim.tracking.sizes import (
     EFFECTIVE_BOXES,
     SIZE_SIGMA,
@@ -28,7 +22,7 @@ from geoaim.tracking.sizes import (
     get_typical_size,
     vote_type,
 )
-from geoaim.tracking.standing import LINE_SIGMA_RAD, Directions
+from geoaim.tracking.standing import LINE_SIGMA_RAD, Directions, find_standing, learn_forward
 from geoaim.tracks.tracks import Tracks
 
 MIN_WHOLE_BOXES = 5  # that tell a size; fewer may be of something else
@@ -49,9 +43,11 @@ def make_states(
     What was observed is filtered as the frames came. Then tracks of one agent are joined, and the
     middle of each agent moves at constant velocity but for white noise in its acceleration; a first
     pass gives headings, by these sizes, and by these the middles of boxes that the frame's border
-    cuts off, which a second pass uses. Lanes tell the headings of vehicles that never move.
+    cuts off, which a second pass uses. Lanes tell the headings of vehicles that never move, or
+    the fronts of their boxes, as often as those of other vehicles point to where these drive.
     """
-    rows, track, observed = _observe(detections, tracklets, times, lanes)
+    forward = learn_forward(detections, tracklets.track, len(times))
+    rows, track, observed = _observe(detections, tracklets, times, lanes, forward)
     at = np.zeros(len(track), int)  # the row of each detection; any of one that is left out
     at[rows.detection[rows.detection >= 0]] = np.flatnonzero(rows.detection >= 0)
     noise = estimate_noise(detections, track, times)
@@ -60,7 +56,9 @@ def make_states(
     seen = _list_detections(rows)
     agents = _describe_agents(detections, seen)
     smoothed = _smooth(detections.position, np.where(cut, CUT_SIGMA_M, sigma), rows, times, agents)
-    heading = compute_poses(smoothed, rows, agents, detections, lanes).states[at, 2]
+    heading = compute_poses(smoothed, rows, agents, detections, lanes, float(forward[-1])).states[
+        at, 2
+    ]
     del smoothed  # what long videos would fill the memory with
     agents = _describe_agents(detections, seen, heading - detections.axis)
     agents, size_sigma = _estimate_sizes(agents, heading, detections, seen, sigma)
@@ -68,7 +66,7 @@ def make_states(
     sigma = np.where(cut, np.hypot(COMPLETED_SIGMA_M, sigma), sigma)
     again = _smooth(position, sigma, rows, times, agents)
     del position, sigma
-    poses = compute_poses(again, rows, agents, detections, lanes)
+    poses = compute_poses(again, rows, agents, detections, lanes, float(forward[-1]))
     del again
     lasting = _measure_lasting(detections, agents.sizes[track], poses.states[at, 2], noise)
     lasting = np.hypot(lasting, detections.roof_sigma)
@@ -98,6 +96,7 @@ def _observe(
     tracklets: Tracklets,
     times: Float[Array, "T"],
     lanes: Directions | None,
+    forward: Float[Array, "T"],
 ) -> tuple[TrackRows, Int[Array, "M"], Float[Array, "S 5"]]:
     """What was known as the frames came, in rows of joined tracks, with each detection's agent.
 
@@ -112,15 +111,14 @@ def _observe(
         for part, step in zip(early, tracklets.confirmed.tolist(), strict=True)
     ]
     agents = _describe_agents(detections, early)
-    pairs = [
+    standing = [
         find_standing(detections, part, kind, lanes)
         for part, kind in zip(early, agents.types, strict=True)
     ]
-    standing = np.array([h if sigma < LINE_SIGMA_RAD else np.nan for h, sigma in pairs])
     measured = detections.position[rows.detection], tracklets.sigma[rows.detection]
     noise = agents.acceleration_noise
     filtered = filter_tracks(times, rows, *measured, noise)
-    observed = observe_states(filtered, rows, agents, standing)
+    observed = observe_states(filtered, rows, agents, standing, forward)
     observed[rows.step < tracklets.confirmed[rows.agent]] = np.nan
     smoothed = smooth_tracks(times, rows, filtered, noise)
     types = _describe_agents(detections, seen).types

@@ -276,7 +276,7 @@ def _move_on(
 ) -> Float[Array, "T 4"]:
     """Move the last state until each time on to that time, at its speed and heading."""
     moved, dt = states[last], at - times[last]
-    distance = moved[:, 3] * np.where(dt > 1 / TICKS_PER_S, dt, 0.0)
+    distance = np.nan_to_num(moved[:, 3]) * np.where(dt > 1 / TICKS_PER_S, dt, 0.0)
     moved[:, 0] += distance * np.cos(moved[:, 2])
     moved[:, 1] += distance * np.sin(moved[:, 2])
     return moved

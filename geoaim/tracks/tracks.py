@@ -52,7 +52,8 @@ class Tracks(Display):
         ids: N unique names.
         world: the plane of x and y.
         observed: (N, T, 4) the states as they are known at each time, from the rows until then;
-            NaN also where an agent was not yet seen for long enough. Predictions start from these.
+            NaN also where an agent was not yet seen for long enough. The speed is NaN where it is
+            not known which end is the front. Predictions start from these.
             None: they are `states`, since the file has headings and speeds.
         seen: (N, T) whether the agent was detected at each time; where it is present and was not,
             the state bridges a gap. None: not stated.

@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.tracking import ablation as tracking_ablation
 from benchmarks.tracking import benchmark as tracking
 from benchmarks.tracking import hard as tracking_hard
 from benchmarks.tracking import peers as tracking_peers
@@ -86,18 +85,6 @@ def test_averages_are_by_method_and_group():
 def test_peers_are_listed_where_they_are_installed():
     found, floor = set(tracking_peers.list_peers()), {"Kalman and Hungarian"}
     assert floor <= found <= {"ByteTrack", "OC-SORT", *floor}
-
-
-def test_changes_of_an_ablation_end_with_it():
-    from geoaim.tracking import association
-
-    before = association.MAX_GAP_S
-    for changes in tracking_ablation.CHANGES.values():
-        with tracking_ablation.change_tracking(changes):
-            assert all(hasattr(module, "__doc__") for module in changes)
-    assert before == association.MAX_GAP_S
-    rows = list(tracking_ablation.measure_ablation([], lambda *_: []))
-    assert rows == []
 
 
 def test_real_boxes_are_tracked_without_their_ids(data_folder):

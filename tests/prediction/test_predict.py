@@ -251,18 +251,21 @@ def test_the_futures_that_are_given_cover_those_that_are_drawn(scene):
 def test_whose_speed_is_unsure_is_left_out_and_named(scene, tmp_path):
     model, start = init_model(TINY), 20
     vehicles = select_group(scene.types, "vehicle") & scene.present[:, start].numpy()
-    one, other = np.flatnonzero(vehicles)[:2].tolist()
+    one, other, parked = np.flatnonzero(vehicles)[:3].tolist()
     sigma = torch.full(scene.present.shape, MAX_SPEED_SIGMA)
     sigma[one] = MAX_SPEED_SIGMA + 0.1
     observed = scene.observed.clone()
     observed[other] = torch.nan
+    observed[parked, :, 3] = torch.nan  # either end may be its front
     unsure = replace(scene, observed=observed, observed_sigma=sigma)
     futures = predict(model, unsure, samples=2, horizon=5, start=start, generator=noise())
-    names = scene.ids[one], scene.ids[other]
-    assert futures.left_out == dict(zip(names, (UNSURE, UNKNOWN), strict=True))
-    assert not futures.mark_predicted()[[one, other]].any()
-    assert futures.mark_predicted().sum() == vehicles.sum() - 2
+    names = [scene.ids[k] for k in (one, other, parked)]
+    assert futures.left_out == dict(zip(names, (UNSURE, UNKNOWN, UNKNOWN), strict=True))
+    assert not futures.mark_predicted()[[one, other, parked]].any()
+    assert futures.mark_predicted().sum() == vehicles.sum() - 3
     assert torch.isfinite(futures.states[:, one]).all()  # in the way of others, straight on
+    at = observed[parked, start, :3]
+    assert torch.allclose(futures.states[:, parked, start:, :3], at, atol=1e-4)  # so is it
     assert torch.isnan(futures.states[:, other]).all()
     write_futures(futures, tmp_path / "futures.csv")
     text = (tmp_path / "futures.csv").read_text()

@@ -12,11 +12,12 @@ from typer.testing import CliRunner
 import geoaim
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import RegistrationError
-from geoaim.base.geometry import image_corners, transform_points
+from geoaim.base.geometry import image_corners, to_opencv, transform_points
+from geoaim.base.progress import no_progress
 from geoaim.cli import app
 from geoaim.mapping.video.video import open_video
-from geoaim.tracking import track_video
-from geoaim.tracking.frame_poses import place_reference
+from geoaim.tracking import frame_poses, track_video
+from geoaim.tracking.frame_poses import locate_frames, place_reference
 from geoaim.tracking.report import summarize_tracking
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -62,6 +63,28 @@ def test_a_frame_is_placed_in_an_aim_that_is_turned_and_scaled(aim, video):
     expected = np.column_stack([0.8 * v, 0.8 * (1280 - u)])
     np.testing.assert_allclose(transform_points(matrix, image_corners(720, 1280)), expected, atol=1)
     assert placement.uncertainty < 0.2
+
+
+def test_the_frame_that_a_map_was_built_of_is_not_searched_in_it(aim, video, monkeypatch):
+    def search(*_):
+        raise RegistrationError("another placement fits 20% as much of the image")
+
+    monkeypatch.setattr(frame_poses, "place_reference", search)
+    built = {"reference_index": 4, "reference_time_s": 4 / video.rate}
+    truth = np.load(SAMPLES / "truth.npz")["world_from_frame"][:FRAMES]
+    matrix = truth[4]
+    warped = cv2.warpPerspective(
+        aim.image, to_opencv(np.linalg.inv(matrix) @ aim.world_from_image), (1280, 720)
+    )
+    report = {"source": video.source, "registration": built}
+    own = replace(aim, image=warped, world_from_image=matrix / matrix[2, 2], report=report)
+    poses = locate_frames(video, own, None, no_progress)
+    corners = image_corners(720, 1280)
+    error = transform_points(poses.world_from_frame, corners) - transform_points(truth, corners)
+    assert np.abs(error).max() < 0.05
+    moved = replace(own, image=np.roll(own.image, 3, axis=1))  # another video of that name
+    with pytest.raises(RegistrationError, match="another placement"):
+        locate_frames(video, moved, None, no_progress)
 
 
 def test_an_aim_of_other_ground_is_refused(aim, video):

@@ -7,7 +7,7 @@ from benchmarks.tracking.benchmark import measure_case
 from benchmarks.tracking.cases import DetectorErrors, make_case_of
 from benchmarks.tracking.lanes import make_lanes_case
 from geoaim.base.errors import TracksError
-from geoaim.base.geometry import wrap_angle
+from geoaim.base.geometry import transform_points, wrap_angle
 from geoaim.base.world import World
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.mapping.video.telemetry import make_telemetry
@@ -111,7 +111,8 @@ def test_observed_states_are_the_same_to_the_digit_for_a_part_of_the_video(junct
     whole = track_boxes(frames, matrices, *rest)
     cut = track_boxes(frames[:60], matrices[:60], junction.times[:60], junction.world, SIZE)
     observed = [tracks.observed[:, :60].reshape(-1, 4) for tracks in (cut, whole)]
-    rows = [set(map(tuple, part[np.isfinite(part[:, 0])].tolist())) for part in observed]
+    known = [np.nan_to_num(part[np.isfinite(part[:, 0])]) for part in observed]
+    rows = [set(map(tuple, part.tolist())) for part in known]
     assert len(rows[0]) > 80
     assert rows[0] <= rows[1]  # the whole also has those of misses that end later
     assert len(rows[1] - rows[0]) <= 0.1 * len(rows[0])
@@ -299,7 +300,8 @@ def test_standing_vehicles_have_the_heading_of_a_lane_or_none(junction):
     found = track(alone, EXACT)
     assert abs(np.sin(found.states[0, 0, 2])) < 0.05  # along the box, in either sense
     assert found.uncertainty[0, 0, 1] == np.pi / 2  # the line is known, and not the sense
-    assert np.isnan(found.observed).all()
+    assert np.isnan(found.observed[..., 3]).all()
+    assert np.isfinite(found.observed[0, -1, :3]).all()
     lane = Directions(np.array([[40.0, 30.0]]), np.array([0.02]), np.array([2.0]))
     found = track(alone, EXACT, lanes=lane)
     np.testing.assert_allclose(found.states[0, :, 2], 0.02)
@@ -323,6 +325,36 @@ def test_oriented_boxes_give_the_heading_of_what_stands():
     heading = found.states[0, 0, 2]
     assert abs(np.tan(heading) + 0.5) < 1e-6  # v points down
     np.testing.assert_allclose(found.sizes[0], [4.47, 2.01], atol=0.05)
+
+
+def test_the_fronts_of_boxes_are_believed_as_far_as_those_of_what_drives():
+    def place(points, front):
+        ends = np.array([[-2.2, -0.9], [2.2, -0.9], [2.2, 0.9], [-2.2, 0.9]])
+        corners = points[:, None] + ends * np.broadcast_to(front, (6, 1))[:, None]
+        pixels = transform_points(np.linalg.inv(WORLD_FROM_FRAME), corners)
+        return DetectedBoxes(np.hstack([pixels.min(1), pixels.max(1)]), pixels)
+
+    times = np.arange(50) / 25
+    matrices = np.broadcast_to(WORLD_FROM_FRAME, (50, 3, 3))
+    for front, known in ((1, True), (-1, True), (np.array([[1], [-1]] * 3), False)):
+        frames = []
+        for step in range(50):
+            points = np.array([[10 + 0.4 * step, 10 + 6 * row] for row in range(5)] + [[50, 10]])
+            frames.append(place(points, front))
+        tracks = track_boxes(frames, matrices, times, World(None), SIZE)
+        parked = int(np.argmax(tracks.states[:, 0, 0]))
+        sigma = tracks.uncertainty[parked, -1, 1]
+        observed = tracks.observed[parked, -1]
+        assert np.isfinite(observed[:3]).all()  # it stands in the way of others
+        assert np.isfinite(observed[3]) == known
+        assert abs(np.sin(tracks.states[parked, -1, 2])) < 0.01
+        if known:
+            assert np.cos(tracks.states[parked, -1, 2]) > 0.99
+            np.testing.assert_allclose(sigma, np.hypot(0.05, np.pi * np.sqrt(1 / 7)), rtol=0.01)
+        else:
+            assert sigma == np.pi / 2
+        part = track_boxes(frames[:30], matrices[:30], times[:30], World(None), SIZE)
+        np.testing.assert_array_equal(part.observed[parked], tracks.observed[parked, :30])
 
 
 def test_noise_is_estimated_from_the_boxes(junction):

@@ -82,12 +82,12 @@ def register_at_rest(
 ) -> Iterator[tuple[Frame, FrameRegistration]]:
     """Yield each frame with its registration: the identity, or why it is not at rest."""
     for frame in frames:
-        yield frame, check_rest(frame.grey, keyframe)
+        yield frame, check_rest(frame.grey, keyframe.fine)
 
 
-def check_rest(grey: UInt8[Array, "H W"], keyframe: Keyframe) -> FrameRegistration:
+def check_rest(grey: UInt8[Array, "H W"], template: PatchTemplate) -> FrameRegistration:
     """Check that a frame shows at least 16 patches of the reference at the same pixels."""
-    alignment = align_patches(keyframe.fine, grey, np.eye(3), "translation", iterations=1)
+    alignment = align_patches(template, grey, np.eye(3), "translation", iterations=1)
     if alignment is None:
         return reject("no patch in view")
     still, shift = _find_still(alignment), measure_displacements(alignment)
