@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt16
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
@@ -24,6 +24,7 @@ from geoaim.imagery.tiles import Tiles, is_address
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.point_checks import warn_of_small_part
+from geoaim.mapping.georeference.uncertainty import CORNERS
 from geoaim.mapping.pipeline import remove_distortion
 from geoaim.mapping.report import report_georeference, report_position
 
@@ -85,12 +86,7 @@ def place_by_imagery(
     place = estimate_georeference(points, height=height, width=width, world=rough.world)
     warn_of_small_part(points, (height, width))
     stated = report_georeference(place, points)
-    farthest = float(max(stated["corner_uncertainty_m"]))
-    if farthest > MAX_CORNER_PX * reference.resolution:
-        warn(
-            f"a corner of the map may be {farthest:.1f} m off (95 %): too few windows of the"
-            " imagery lie near it. The report states each corner"
-        )
+    _warn_of_corners(stated["corner_uncertainty_m"], rough.coverage, reference.resolution)
     kept = {name: value for name, value in rough.report.items() if name not in (*CLAIMS, "place")}
     names = [Path(row["name"]).name for row in reference.report.get("imagery", [])]
     position = report_position(place, points) | supposed
@@ -175,6 +171,20 @@ def _move_near(
     report = {name: value for name, value in aim.report.items() if name not in (*CLAIMS, "place")}
     matrix = translation(*(there - middle)) @ aim.world_from_image
     return replace(aim, world=world, world_from_image=matrix, report=report), NEAR
+
+
+def _warn_of_corners(
+    bounds: Float[Array, "4"], coverage: UInt16[Array, "H W"], resolution: float
+) -> None:
+    """Name the corners of a map that show ground and may be further off than `MAX_CORNER_PX`."""
+    shown = coverage[[0, 0, -1, -1], [0, -1, -1, 0]] > 0
+    far = np.flatnonzero(shown & (bounds > MAX_CORNER_PX * resolution))
+    if len(far):
+        listed = ", ".join(f"{CORNERS[corner]} {bounds[corner]:.1f} m" for corner in far)
+        warn(
+            f"corners of the map may be off (95 %): {listed}; too few windows of the imagery lie"
+            " near them"
+        )
 
 
 def _choose_covariance(
