@@ -101,7 +101,9 @@ def estimate_georeference(
         point_checks.check_layout(inliers, targets[used], size, outside=outside)
     fitted = select_pairs(pairs, used)
     posterior, candidates = _fit_models(inliers.names, fitted, sigma, size, similarity)
-    posterior = replace(posterior, covariance=posterior.covariance * points.redundancy)
+    covariance = posterior.covariance * points.redundancy
+    covariance[[0, 1], [0, 1]] += (points.common_error / metres) ** 2  # of the shift
+    posterior = replace(posterior, covariance=covariance)
     best = choose_model(candidates)
     residuals = apply_terms(best.terms, plane) - pairs.ground
     leave_one_out = np.linalg.norm(residuals, axis=1)

@@ -185,9 +185,15 @@ def _read_odm(content: Lines, crs: str, path: Path) -> list[PointRow]:
     for number, line in content[1:]:
         words, source = line.split(), f"{path}, line {number}"
         if len(words) < 6:
+            commas = line.count(",") >= 5
             raise GeoreferenceError(
                 f"{source}: {line!r} has {len(words)} fields; an OpenDroneMap line needs x, y, z,"
-                " pixel x, pixel y and the image. Pick the point in an image first."
+                " pixel x, pixel y and the image"
+                + (
+                    ", between spaces or tabs, not commas."
+                    if commas
+                    else ". Pick the point in an image first."
+                )
             )
         x, y, u, v = (_parse_number(words[i], source) for i in (0, 1, 3, 4))
         pixel = (u + ODM_PIXEL_SHIFT, v + ODM_PIXEL_SHIFT)
@@ -196,13 +202,15 @@ def _read_odm(content: Lines, crs: str, path: Path) -> list[PointRow]:
 
 
 def _read_qgis(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
+    # a column CRS, which QGIS 3.18 to 3.24 write, is quoted WKT with commas
     separator = "," if "," in content[0][1] else "\t"
     header = [name.strip().lower() for name in content[0][1].split(separator)]
     header = [name.replace("source", "pixel") for name in header]
     rows = []
     for number, line in content[1:]:
         source = f"{path}, line {number}"
-        fields = dict(zip(header, (f.strip() for f in line.split(separator)), strict=False))
+        words = next(csv.reader([line], delimiter=separator))
+        fields = dict(zip(header, (word.strip() for word in words), strict=False))
         if not set(QGIS_COLUMNS) <= set(fields):
             raise GeoreferenceError(f"{source}: {line!r} lacks one of the columns {header[:4]}.")
         if fields.get("enable", "1").lower() in ("0", "false"):
@@ -213,7 +221,7 @@ def _read_qgis(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
                 f"{source}: {line!r} has a positive image y; QGIS counts pixels downwards as"
                 " negative. Was the image georeferenced before? Pick on the plain image."
             )
-        rows.append(PointRow((u, -up), (x, y), source, crs))
+        rows.append(PointRow((u, -up), (x, y), source, fields.get("crs") or crs))
     return rows
 
 

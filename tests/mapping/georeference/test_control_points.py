@@ -3,6 +3,7 @@ from zipfile import ZipFile
 
 import numpy as np
 import pytest
+from pyproj import CRS
 from rasterio.control import GroundControlPoint
 
 from geoaim.base.errors import GeoreferenceError
@@ -97,6 +98,8 @@ def test_opendronemap_lists_without_pixels_are_refused(tmp_path):
     path = written(tmp_path, "EPSG:4326\ngcp01\t-119.87\t34.40\t0\n")
     with pytest.raises(GeoreferenceError, match=r"line 2.*4 fields"):
         read_control_points(path)
+    with pytest.raises(GeoreferenceError, match="not commas"):
+        read_control_points(written(tmp_path, "EPSG:4326\n1,2,3,4,5,a.jpg\n", "c.txt"))
     with pytest.raises(GeoreferenceError, match="no column"):
         read_control_points(written(tmp_path, "3483\t729\tIMG_0031.jpg\n", "b.txt"))
 
@@ -108,6 +111,15 @@ def test_qgis_points_turn_their_sign_and_skip_disabled(tmp_path, names):
     np.testing.assert_array_equal(points.pixels, [[100.5, 200.5]])
     np.testing.assert_array_equal(points.coordinates, [[5.0, 6.0]])
     assert points.crs == "EPSG:32635"
+
+
+def test_qgis_points_have_their_crs_in_a_column(tmp_path):
+    crs = CRS("EPSG:32635").to_wkt("WKT1_GDAL").replace('"', '""')  # as of QGIS 3.18 to 3.24
+    text = f'mapX,mapY,pixelX,pixelY,enable,CRS\n5,6,100.5,-200.5,1,"{crs}"\n'
+    points = read_control_points(written(tmp_path, text, "a.points"))
+    np.testing.assert_array_equal(points.coordinates, [[5.0, 6.0]])
+    assert points.crs is not None
+    assert CRS(points.crs).equals("EPSG:32635", True)
 
 
 def test_qgis_points_of_a_georeferenced_picture_are_refused(tmp_path):
