@@ -31,15 +31,9 @@ def render_agent_video(
 ) -> Iterator[UInt8[Array, "H W 3"]]:
     """Render the view of an agent, heading up: the map, lights and all agents.
 
-    Args:
-        scene: the scene, with its map and lights.
-        agent: row of the agent in the centre.
-        view: size and resolution of the pictures.
-        steps: (S,) index of each step to render, at which the agent is present.
-        trail: duration of the agents' trails, seconds; 0: none.
-
-    Yields:
-        (H, W, 3) an RGB picture of each step.
+    `agent`: row of the agent in the centre; `view`: size and resolution of the pictures; `steps`:
+    (S,) index of each step to render, at which the agent is present; `trail`: duration of the
+    agents' trails, seconds; 0: none. Yields an RGB picture of each step.
     """
     ground = prefilter_ground(scene.ground, view.resolution)
     for batch in torch.split(steps, BATCH_SIZE):
@@ -57,14 +51,8 @@ def render_map_video(
 ) -> Iterator[UInt8[Array, "H W 3"]]:
     """Render the whole map with all agents at each step, turned as its image is.
 
-    Args:
-        scene: the scene, of this map.
-        aim: the map.
-        height: the smaller side of the pictures, pixels.
-        trail: duration of the agents' trails, seconds; 0: none.
-
-    Yields:
-        (H, W, 3) an RGB picture of each step, with even sides.
+    `height`: the smaller side of the pictures, pixels; `trail`: duration of the agents' trails,
+    seconds; 0: none. Yields an RGB picture of each step, with even sides.
     """
     (left, top), right, _, bottom = aim.corners
     across, down = right - (left, top), (left, top) - bottom
@@ -95,10 +83,8 @@ def write_pictures(
 ) -> None:
     """Write a video, an animation, or a single picture.
 
-    Args:
-        pictures: (H, W, 3) RGB each; with even sides for .mp4.
-        path: .mp4, .gif or .png, which holds the first picture.
-        frame_rate: pictures per second; without effect on a .png.
+    `pictures`: RGB each; with even sides for .mp4; `path`: .mp4, .gif or .png, which holds the
+    first picture; `frame_rate`: pictures per second; without effect on a .png.
 
     Raises:
         ValueError: the path has another suffix, or there are no pictures.

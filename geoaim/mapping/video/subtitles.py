@@ -13,9 +13,7 @@ STATES_PLACE = re.compile(r"\blatitude\b|\bGPS\s*\(")  # other subtitles are no 
 def read_subtitles(path: Path, start: float) -> Telemetry | None:
     """Read telemetry from the first subtitles of a video that state places; None: there are none.
 
-    Args:
-        path: the video.
-        start: presentation time of the video's first frame, seconds.
+    `start`: presentation time of the video's first frame, seconds.
 
     Raises:
         GeoreferenceError: as of `read_srt`.
