@@ -29,10 +29,7 @@ STAGES = {
     "python -m benchmarks.prediction": ("geoaim/prediction",),
     "python -m benchmarks.realism": ("benchmarks/synthetic",),
     "python -m benchmarks.registration": ("geoaim/mapping/registration",),
-    "python -m benchmarks.rendering.exactness": (
-        "geoaim/rendering/coverage.py",
-        "geoaim/rendering/triangles.py",
-    ),
+    "python -m benchmarks.rendering.exactness": ("geoaim/rendering/coverage.py",),
     "python -m benchmarks.rendering": ("geoaim/rendering",),
     "python -m benchmarks.short_clips": (
         "geoaim/mapping/registration",
