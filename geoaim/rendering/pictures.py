@@ -46,27 +46,23 @@ def render_agent_video(
         yield from convert_to_uint8(pictures)
 
 
-def render_map_video(
-    scene: Scene, aim: AIM, *, height: int = FILM_HEIGHT_PX, trail: float = FILM_TRAIL_S
-) -> Iterator[UInt8[Array, "H W 3"]]:
-    """Render the whole map with all agents at each step, turned as its image is.
+def render_map_video(scene: Scene, aim: AIM) -> Iterator[UInt8[Array, "H W 3"]]:
+    """Render the whole map, turned as its image is, with all agents and their trails at each step.
 
-    `height`: the smaller side of the pictures, pixels; `trail`: duration of the agents' trails,
-    seconds; 0: none. Yields an RGB picture of each step, with even sides.
+    Yields RGB pictures with even sides, the smaller one of `FILM_HEIGHT_PX`.
     """
     (left, top), right, _, bottom = aim.corners
     across, down = right - (left, top), (left, top) - bottom
     extent = np.hypot(*across), np.hypot(*down)
-    resolution = float(min(extent)) / height
+    resolution = float(min(extent)) / FILM_HEIGHT_PX
     sides = [2 * max(1, round(side / resolution / 2)) for side in extent]
     view = View(sides[1], sides[0], resolution)
     middle = aim.corners.mean(axis=0)
     camera = torch.tensor([*middle, np.arctan2(down[1], down[0])], dtype=scene.poses.dtype)
     ground = prefilter_ground(scene.ground, resolution)
     for steps in torch.split(torch.arange(len(scene.times)), BATCH_SIZE):
-        layers = [make_light_boxes(scene, steps), make_agent_boxes(scene, steps)]
-        if trail > 0:
-            layers.insert(1, make_trail_boxes(scene, steps, duration=trail))
+        trails = make_trail_boxes(scene, steps, duration=FILM_TRAIL_S)
+        layers = [make_light_boxes(scene, steps), trails, make_agent_boxes(scene, steps)]
         with torch.no_grad():
             pictures = render(view, camera.expand(len(steps), 3), ground, layers)
         yield from convert_to_uint8(pictures)
