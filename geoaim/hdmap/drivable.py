@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 
 NOT_DRIVABLE = ("walkway", "crosswalk", "stairs", "bicycle_lane", "bikelane", "shared_walkway")
-DRIVABLE_AREAS = ("parking",)
 MAX_GAP_M = 0.3  # narrower gaps between lanes count as drivable
 LANE_SPACING_M = 1.0  # distance between points along a lane
 MIN_AREA_M2 = 0.1  # smallest area that may be drawn: degrees taken for metres enclose less
@@ -49,7 +48,7 @@ def find_drivable_area(hdmap: HDMap) -> MultiPolygon:
         MapError: the map has no lane for vehicles.
     """
     lanes = [outline_lanelet(x) for x in hdmap.lanelets if x.subtype not in NOT_DRIVABLE]
-    parks = [area.shape for area in hdmap.areas if area.subtype in DRIVABLE_AREAS]
+    parks = [area.shape for area in hdmap.areas if area.subtype == "parking"]
     if not lanes:
         subtypes = sorted({lanelet.subtype for lanelet in hdmap.lanelets})
         raise MapError(f"the map has no lane for vehicles, only {', '.join(subtypes)}")

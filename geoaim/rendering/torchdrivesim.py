@@ -22,8 +22,6 @@ from geoaim.rendering.boxes import OrientedBoxes
 from geoaim.rendering.ground import Ground, View
 from geoaim.rendering.prefiltering import prefilter_ground
 
-WAYPOINT_SIDE_M = 2.0 * math.sqrt(math.pi)  # side of a square as large as torchdrivesim's disc
-
 
 class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
     """Renders an image map for torchdrivesim, differentiable by poses and cameras."""
@@ -167,7 +165,8 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
         poses = torch.cat([points, torch.zeros_like(points[..., :1])], dim=-1)
         count = points.shape[1]
         present = None if mask is None else mask.flatten(0, 1).bool()
-        sizes = points.new_full((count, 2), WAYPOINT_SIDE_M)
+        # a square as large as torchdrivesim's disc
+        sizes = points.new_full((count, 2), 2.0 * math.sqrt(math.pi))
         colours = self._get_colours(["goal_waypoint"]).expand(count, 3)
         return OrientedBoxes(poses, sizes, colours, present)
 

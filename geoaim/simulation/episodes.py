@@ -23,7 +23,6 @@ SIMPLE_POLICIES: Mapping[str, simulator.Policy] = {
     "constant-turn-rate": constant_turn_rate,
 }
 POLICY_NAMES = ("idm", *SIMPLE_POLICIES, "replay")
-DEFAULT_DURATION_S = 6.0
 HISTORY_STEPS = 5  # all agents replay their recordings in the first steps
 # vehicles whose speed is ever below this replay the recording: no policy drives backwards
 REVERSING_SPEED_MPS = -0.1
@@ -100,7 +99,7 @@ def _find_steps(scene: Scene, start: float | None, duration: float | None) -> tu
     start = begin if start is None else start
     first = find_step(scene, start)
     if duration is None:
-        duration = min(DEFAULT_DURATION_S, end - float(scene.times[first]))
+        duration = min(6.0, end - float(scene.times[first]))
     if not start + duration < end + scene.dt:
         raise ValueError(
             f"the tracks go from {begin:g} to {end:g} s, and {duration:g} seconds from {start:g} s "

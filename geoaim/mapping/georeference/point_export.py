@@ -19,8 +19,6 @@ from geoaim.base.world import LONLAT, transform_crs
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.point_files import ODM_PIXEL_SHIFT, SHARED_COVARIANCE
 
-QGIS_HEADER = "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
-
 
 def write_control_points(points: ControlPoints, path: str | Path) -> None:
     """Write control points to a file, whole or not at all; the format follows from its name.
@@ -96,7 +94,8 @@ def _format_odm(points: ControlPoints) -> str:
 def _format_qgis(points: ControlPoints) -> str:
     points = _select_complete(points)
     rows = np.hstack([points.coordinates, points.pixels * [1.0, -1.0]]).tolist()
-    lines = [f"#CRS: {_format_crs(points.crs)}", QGIS_HEADER]
+    header = "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
+    lines = [f"#CRS: {_format_crs(points.crs)}", header]
     lines += [",".join(map(repr, row)) + ",1,0,0,0" for row in rows]
     return "\n".join(lines) + "\n"
 

@@ -42,7 +42,6 @@ ODM_PIXEL_SHIFT = 0.5  # px from OpenDroneMap's origin, the first pixel's centre
 MAX_NUMBER = 1e12  # no pixel and no coordinate in metres, feet or degrees is as far away
 SHARED_COVARIANCE = "shared covariance"  # comment of a file: three numbers, square metres
 MAX_ROWS = 10_000  # a georeference of as many takes seconds
-DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 Lines = list[tuple[int, str]]  # lines and their numbers in the file
 
 
@@ -209,7 +208,7 @@ def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
         values = {key: fields[at].strip() for key, at in columns.items() if at < len(fields)}
         if separator != ",":
             numbers = {key for key in ("u", "v", "x", "y", "accuracy") if key in values}
-            commas = {key for key in numbers if DECIMAL_COMMA.fullmatch(values[key])}
+            commas = {key for key in numbers if re.fullmatch(r"[-+]?\d+,\d+", values[key])}
             values |= {key: values[key].replace(",", ".") for key in commas}
         if values.get("enable", "1").lower() not in OFF:
             rows.append(make_row({**values, "crs": values.get("crs") or crs}, source))
