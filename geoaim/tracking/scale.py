@@ -7,12 +7,12 @@ from scipy import ndimage
 
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import warn
-from geoaim.detection.scale import CAR
 from geoaim.tracks.agent_types import TYPICAL_SIZES
 from geoaim.tracks.tracks import Tracks
 
 WINDOW = 0.12  # standard deviation of the logarithms of sizes of cars
 MIN_FACTOR = 2.0  # by which vehicles are smaller or larger than cars where the scale is doubted
+CAR_M = float(np.sqrt(np.prod(TYPICAL_SIZES["car"])))  # square root of its area
 MIN_AGENTS = 3  # whose sizes tell a wrong scale
 
 
@@ -49,5 +49,5 @@ def measure_scale_error(tracks: Tracks, aim: AIM) -> float | None:
         return None
     if len(tracks.ids) < MIN_AGENTS:
         return None
-    factor = CAR / _find_most(np.sqrt(tracks.sizes.prod(axis=1)))
+    factor = CAR_M / _find_most(np.sqrt(tracks.sizes.prod(axis=1)))
     return None if 1 / MIN_FACTOR < factor < MIN_FACTOR else factor
