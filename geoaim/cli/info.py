@@ -190,12 +190,12 @@ def _describe_imagery(source: str) -> Description:
 
 
 def _describe_video(source: str) -> Description:
-    from geoaim.mapping.video.video import open_video
+    from geoaim.mapping.video.video import VIDEO_SUFFIXES, open_video
 
     try:
         video = open_video(source)
     except GeoaimError as error:
-        if Path(source).suffix.lower() in VIDEOS:
+        if Path(source).suffix.lower() in VIDEO_SUFFIXES:
             raise
         raise GeoaimError(f"{source} is no file that geoaim reads: {error}") from error
     facts = {"size": f"{video.width} x {video.height} px"}
@@ -342,7 +342,6 @@ def _describe_telemetry(source: str) -> Description:
     return "telemetry of a drone", facts, ()
 
 
-VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".ts"}
 DESCRIBERS: dict[str, Callable[[str], Description]] = {
     **dict.fromkeys((".tif", ".tiff"), _describe_raster),
     **dict.fromkeys(IMAGES, _describe_image),

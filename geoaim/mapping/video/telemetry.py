@@ -1,8 +1,9 @@
 """Telemetry: the camera's position and attitude over time."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -81,6 +82,29 @@ def make_telemetry(
         focal_length=focal_length,
         remarks=remarks or {},
     )
+
+
+def join_telemetry(
+    parts: Sequence[Telemetry | None], starts: Float[Array, " P+1"]
+) -> Telemetry | None:
+    """Join the telemetry of the parts of a video, by the times of their first frames and the end.
+
+    None where no part has any.
+    """
+    names = [one.name for one in fields(Telemetry) if one.name != "remarks"]
+    whole: dict[str, list[Float[Array, " _"]]] = {name: [] for name in names}
+    remarks: dict[str, str] = {}
+    for part, (start, end) in zip(parts, pairwise(starts.tolist()), strict=True):
+        if part is not None:
+            inside = part.time + start < end  # subtitles may outlast the frames of their file
+            for name in names:
+                values = getattr(part, name)[inside]
+                whole[name].append(values + start if name == "time" else values)
+            remarks |= part.remarks
+    if not whole["time"]:
+        return None
+    joined = {name: np.concatenate(values) for name, values in whole.items()}
+    return Telemetry(**joined, remarks=remarks)
 
 
 def _find_heading_of_top(
