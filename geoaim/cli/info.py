@@ -190,7 +190,7 @@ def _describe_imagery(source: str) -> Description:
 
 
 def _describe_video(source: str) -> Description:
-    from geoaim.mapping.video.video import VIDEO_SUFFIXES, open_video
+    from geoaim.mapping.video.video import VIDEO_SUFFIXES, open_video, warn_of_pace
 
     try:
         video = open_video(source)
@@ -201,6 +201,7 @@ def _describe_video(source: str) -> Description:
     facts = {"size": f"{video.width} x {video.height} px"}
     if video.names is None:
         facts["length"] = f"{video.duration:.2f} s, {video.rate:.4g} frames/s"
+        warn_of_pace(video)
         facts["telemetry"] = "yes" if video.telemetry is not None else "none"
         return "video", facts, VIDEO_COMMANDS
     if video.frame_count == 1:

@@ -24,6 +24,7 @@ PLAUSIBLE = {
 }
 # Fields that change the meaning of others, and their ranges.
 MODIFIERS = {"roll": (-360.0, 360.0), "zoom": (1.0, 200.0)}
+SLOW_MOTION = 1.5  # cameras film at twice the rate of the video or more; dates may be whole seconds
 NADIR_DEGREES = 45.0  # from straight down, within which the image's top has a heading
 
 
@@ -43,6 +44,7 @@ class Telemetry:
     focal_length: Float[Array, " T"]  # millimetres, 35 mm equivalent, with digital zoom
     # why a field is not stated though the file seems to have it, for messages; by field
     remarks: Mapping[str, str] = field(default_factory=dict)
+    recorded: float = math.nan  # seconds from the first state to the last by their dates
 
 
 def make_telemetry(
@@ -91,7 +93,7 @@ def join_telemetry(
 
     None where no part has any.
     """
-    names = [one.name for one in fields(Telemetry) if one.name != "remarks"]
+    names = [one.name for one in fields(Telemetry) if one.name not in ("remarks", "recorded")]
     whole: dict[str, list[Float[Array, " _"]]] = {name: [] for name in names}
     remarks: dict[str, str] = {}
     for part, (start, end) in zip(parts, pairwise(starts.tolist()), strict=True):
@@ -104,7 +106,8 @@ def join_telemetry(
     if not whole["time"]:
         return None
     joined = {name: np.concatenate(values) for name, values in whole.items()}
-    return Telemetry(**joined, remarks=remarks)
+    recorded = sum(math.nan if part is None else part.recorded for part in parts)
+    return Telemetry(**joined, remarks=remarks, recorded=recorded)
 
 
 def _find_heading_of_top(

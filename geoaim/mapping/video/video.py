@@ -21,10 +21,11 @@ from geoaim.base.limits import check_memory, refuse_damaged
 from geoaim.base.raster_files import open_raster_file
 from geoaim.mapping.video.decoding import VideoFile, open_video_file, read_frames, read_frames_at
 from geoaim.mapping.video.exif import read_exif
+from geoaim.mapping.video.flight_log import is_flight_log, read_flight_log
 from geoaim.mapping.video.frames import Frame, FrameList
 from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.subtitles import read_subtitles
-from geoaim.mapping.video.telemetry import Telemetry, join_telemetry
+from geoaim.mapping.video.telemetry import SLOW_MOTION, Telemetry, join_telemetry
 
 BYTES_PER_PIXEL = 16  # memory for a pixel while an image is decoded
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
@@ -104,7 +105,7 @@ class Video:
 
     @cached_property
     def telemetry(self) -> Telemetry | None:
-        """State of the camera, from the .SRT beside the video or the EXIF of images, or None."""
+        """State of the camera, from a file beside the video or the EXIF of images, or None."""
         try:
             return self.read_telemetry()
         except (GeoreferenceError, OSError) as error:
@@ -292,7 +293,10 @@ def _join_parts(source: str, paths: list[Path], threads: int | None) -> Video:
         frame_count=len(every),
         read_all=lambda: chain.from_iterable(move(n, iter(part)) for n, part in enumerate(parts)),
         read_at=read_at,
-        read_telemetry=lambda: join_telemetry([part.read_telemetry() for part in parts], starts),
+        read_telemetry=lambda: (
+            _read_log_beside(paths[0], float(starts[-1]))
+            or join_telemetry([part.read_telemetry() for part in parts], starts)
+        ),
         keyframe_interval=max(part.keyframe_interval for part in parts),
         read_times=lambda: every,
     )
@@ -316,9 +320,11 @@ def _open_file(path: Path, threads: int | None) -> Video:
 
 
 def _read_telemetry(path: Path, file: VideoFile) -> Telemetry | None:
-    """Telemetry from the .SRT file beside a video or from its subtitles, or None."""
+    """Telemetry from the .SRT or flight log beside a video or from its subtitles, or None."""
     sidecars = [path.with_suffix(suffix) for suffix in (".SRT", ".srt")]
     found = next((read_srt(sidecar) for sidecar in sidecars if sidecar.exists()), None)
+    if found is None:
+        found = _read_log_beside(path, file.count / file.rate if file.count else math.nan)
     if found is None:
         found = read_subtitles(path, 0.0 if np.isnan(file.start) else file.start)
     if found is None or file.quarter_turns % 4 == 0:
@@ -326,6 +332,33 @@ def _read_telemetry(path: Path, file: VideoFile) -> Telemetry | None:
     reason = f"the video is turned by {90 * file.quarter_turns} degrees for display"
     remarks = {**found.remarks, "yaw": reason}
     return replace(found, yaw=np.full_like(found.yaw, np.nan), remarks=remarks)
+
+
+def _read_log_beside(path: Path, duration: float) -> Telemetry | None:
+    """Telemetry from the flight log of the same name as a video, or None."""
+    logs = [path.with_suffix(suffix) for suffix in (".csv", ".CSV")]
+    found = next((log for log in logs if log.is_file() and is_flight_log(log)), None)
+    return None if found is None else read_flight_log(found, duration)
+
+
+def warn_of_pace(video: Video) -> None:
+    """Warn of slow motion and time lapse, where the dates of the telemetry tell it."""
+    telemetry = video.telemetry if video.names is None else None
+    if telemetry is None or not len(telemetry.time):
+        return
+    recorded, shown = telemetry.recorded, float(np.ptp(telemetry.time))
+    others = (shown, video.duration)  # a video whose times were mended keeps its old .SRT
+    if all(
+        abs(recorded - one) > 2.0 and max(recorded, one) > SLOW_MOTION * min(recorded, one)
+        for one in others
+    ):
+        pace = recorded / shown
+        kind = "slow motion" if pace < 1 else "a time lapse"
+        warn(
+            f"{video.source} is {kind}: by the dates of its telemetry {recorded:.0f} s were "
+            f"recorded, which it shows in {shown:.0f} s, so that speeds are {pace:.3g} times the "
+            f"true ones; mend its times (ffmpeg -itsscale {pace:.4g} -i IN -c copy OUT)"
+        )
 
 
 def _list_files(source: str) -> list[Path]:
