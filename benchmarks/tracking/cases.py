@@ -38,6 +38,7 @@ class DetectorErrors:
     doubled: float = 0.0  # share of boxes that come twice
     lost_s: float = 0.0  # for how long each agent is hidden once
     flying_height: float | None = None  # m, from which agents with roofs are seen; None: flat ones
+    box_shaped: bool = False  # whether roofs are as large as their agents
     false_s: float = 0.0  # for how long a false box stays at its place; 0: for a frame
 
 
@@ -109,7 +110,7 @@ def make_case_of(
     frame_from_world = np.linalg.inv(world_from_frame)
     boxes, visible = project_boxes(truth, frame_from_world, size)
     if errors.flying_height is not None:
-        boxes = _add_roofs(boxes, truth, frame_from_world, size, errors.flying_height, generator)
+        boxes = _add_roofs(boxes, truth, frame_from_world, size, errors, generator)
     found = detect_boxes(boxes, visible, truth.types, errors, size, generator)
     height = errors.flying_height
     return TrackingCase(name, truth, frame_from_world, world_from_frame, found, size, height)
@@ -120,7 +121,7 @@ def _add_roofs(
     truth: Tracks,
     frame_from_world: Float[Array, "T 3 3"],
     size: tuple[int, int],
-    flying_height: float,
+    errors: DetectorErrors,
     generator: np.random.Generator,
 ) -> Float[Array, "N T 4"]:
     """Add roofs to boxes, smaller than the agents' bases, as a camera above the middle sees them.
@@ -130,10 +131,12 @@ def _add_roofs(
     kinds = [ROOFS.get(kind, OTHER_ROOF) for kind in truth.types]
     height = np.array([high for high, _ in kinds]) * generator.uniform(0.85, 1.15, len(kinds))
     share = np.array([part for _, part in kinds]) * generator.uniform(0.9, 1.0, len(kinds))
-    smaller = replace(truth, sizes=truth.sizes * np.column_stack([share, np.full(len(share), 0.9)]))
+    shares = np.column_stack([share, np.full(len(share), 0.9)]) if not errors.box_shaped else 1.0
+    smaller = replace(truth, sizes=truth.sizes * shares)
     roofs, _ = project_boxes(smaller, frame_from_world, size)
     middle = np.tile(np.array(size[::-1]) / 2, 2)
-    scale = flying_height / (flying_height - height)
+    assert errors.flying_height is not None
+    scale = errors.flying_height / (errors.flying_height - height)
     leaning = middle + (roofs - middle) * scale[:, None, None]
     low = np.minimum(boxes[..., :2], leaning[..., :2])
     high = np.maximum(boxes[..., 2:], leaning[..., 2:])

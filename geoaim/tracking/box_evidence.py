@@ -21,6 +21,8 @@ INNER = 0.7  # of a box's sides, inside of which its agent is
 # they are given: 0.93 of right boxes of the sample video, 0.67 of those five frames late, 0.12 of
 # those of a letterbox, and under 0.07 of others; other readings of right boxes lack 1.0 or more
 BETTER, LEAST = 0.5, 0.15
+# standard errors over the frames, by which boxes of a frame or two before or after must be better
+CERTAIN = 3.0
 
 Bounds = Float[Array, "_ 4"]  # left, top, right, bottom; pixels
 
@@ -77,6 +79,11 @@ def check_evidence(
     at = [view.index for view in views]
     given, count = _weigh(sums, [moving.get(n) for n in at], usual, size)
     if count < MIN_BOXES:
+        if any(own is not None and len(own.boxes) for own in boxes.values()):
+            warn(
+                f"{count} boxes of what moves on could be compared with the picture; {MIN_BOXES} "
+                "are needed to tell whether boxes are of these frames, which is taken for granted"
+            )
         return
     best, text = given, ""
     for what, read in _list_readings(moving, at, size, reference_from_frame, rate):
@@ -88,6 +95,8 @@ def check_evidence(
         warn(f"{found}; it would be {best:.0%} {text}")
     elif given < LEAST:
         warn(f"{found}; most of it is needed: are they of this video, and of these frames?")
+    elif lag := _find_lag(sums, moving, at, usual, size):
+        warn(f"{found}, and surely more of those {_describe_lag(lag)}")
 
 
 def _find_moving(
@@ -175,7 +184,47 @@ def _list_readings(
         text = f"if one in {stride} frames has boxes, numbered on: --rate {rate / stride:.4g}"
         yield f"{text} says so", [boxes.get(n // stride) for n in at]
     for lag in range(1, max(boxes, default=0)):
-        text = f"{lag} frames earlier: do they count from {lag} (--first {lag})?"
-        yield text, [boxes.get(n + lag) for n in at]
-        text = f"{lag} frames later: are they of a part of the video that begins there?"
-        yield text, [boxes.get(n - lag) for n in at]
+        yield _describe_lag(lag), [boxes.get(n + lag) for n in at]
+        yield _describe_lag(-lag), [boxes.get(n - lag) for n in at]
+
+
+def _describe_lag(lag: int) -> str:
+    """Describe boxes that are late by some frames, or early.
+
+    >>> _describe_lag(2)
+    '2 frames earlier: do they count from 2 (--first 2)?'
+    """
+    if lag > 0:
+        return f"{lag} frames earlier: do they count from {lag} (--first {lag})?"
+    return f"{-lag} frames later: are they of a part of the video that begins there?"
+
+
+def _find_lag(
+    sums: Sequence[Sequence[Array]],
+    boxes: Mapping[int, Bounds],
+    at: Sequence[int],
+    usual: float,
+    size: tuple[int, int],
+) -> int:
+    """Find by how few frames boxes are surely late, or early (< 0): to where they fit best."""
+
+    def weigh(lag: int) -> Float[Array, "n"]:
+        read = [boxes.get(n + lag) for n in at]
+        pairs = [_weigh([own], [one], usual, size) for own, one in zip(sums, read, strict=True)]
+        return np.array([value if count else np.nan for value, count in pairs])
+
+    def gain(one: Float[Array, "n"], other: Float[Array, "n"]) -> tuple[float, float]:
+        known = (one - other)[np.isfinite(one - other)]
+        if len(known) < 2:
+            return 0.0, np.inf
+        return float(known.mean()), float(known.std(ddof=1) / np.sqrt(len(known)))
+
+    given = weigh(0)
+    for step in (1, -1):
+        lag, now = 0, given
+        while gain(after := weigh(lag + step), now)[0] > 0:
+            lag, now = lag + step, after
+        better, sigma = gain(now, given)
+        if better > CERTAIN * sigma:
+            return lag
+    return 0

@@ -64,9 +64,9 @@ def compute_poses(
             continue
         seen = rows.detection[part]
         stands = find_standing(detections, seen[seen >= 0], agents.types[agent], lanes)
-        standing, unsure = stands.face(np.array(forward))
+        standing, unsure = stands.face(np.array([forward]))
         length = float(agents.sizes[agent, 0])
-        given = float(standing), float(unsure)
+        given = float(standing[0]), float(unsure[0])
         found = _compute_vehicle_headings(motion, length, given, seen >= 0)
         heading[part], sigma[part] = found
     velocity = smoothed.mean[:, 1]

@@ -24,8 +24,7 @@ ROOFS = {
 }
 OTHER, LONG, LONG_M = "car", "truck", 8.0
 ROOF_WIDTH = 0.85  # share of an agent's width
-# of a correction, and of how far a roof leans, by which both may be off; roofs and heights differ
-LEFT_SHARE, LEAN_SHARE = 0.3, 0.06
+LEAN_SHARE = 0.06  # of how far a roof leans, by which it may be off, since heights differ
 
 
 def describe_roofs(flying_height: float | None, telemetry: Telemetry | None) -> str:
@@ -55,7 +54,9 @@ def correct_roofs(
     The camera looks straight down from above the middle of the frame, `flying_height` metres above
     the ground. A box holds an agent's base and its roof, which is smaller, and leans outwards by
     its height over that of the camera above it. Where the roof ends further out than the base, the
-    box ends with it, and goes back. The detections then state how far off the correction may be.
+    box ends with it, and goes back. The roof may be as large as the base, as of a box, or as small
+    as is typical of the type; the correction is that of the middle between both, and the detections
+    state how far off it may be.
     """
     below = _find_below(detections.step, world_from_frame, size)
     known = np.where(np.isin(detections.types, list(ROOFS)), detections.types, OTHER)
@@ -68,13 +69,17 @@ def correct_roofs(
     sides = np.stack([right, detections.down], axis=1)
     offset = ((detections.position - below)[:, None] * sides).sum(axis=2)
     low, high = offset - detections.extent / 2, offset + detections.extent / 2
-    base_low = np.where(low < 0, np.maximum(low, low / (1 + lean) - inset), low)
-    base_high = np.where(high > 0, np.minimum(high, high / (1 + lean) + inset), high)
-    shift = (base_low + base_high) / 2 - offset
+    shifts, extents = [], []
+    for part in (0.0, 1.0):  # a roof as large as the agent, and the typical one
+        base_low = np.where(low < 0, np.maximum(low, low / (1 + lean) - part * inset), low)
+        base_high = np.where(high > 0, np.minimum(high, high / (1 + lean) + part * inset), high)
+        shifts.append((base_low + base_high) / 2 - offset)
+        extents.append(base_high - base_low)
+    shift, extent = np.mean(shifts, axis=0), np.mean(extents, axis=0)
     moved = detections.position + (shift[..., None] * sides).sum(axis=1)
-    sigma = LEFT_SHARE * np.hypot(*shift.T) + LEAN_SHARE * lean[:, 0] * np.hypot(*offset.T) / 2
-    low, high = base_low, base_high
-    return replace(detections, position=moved, extent=high - low, roof_sigma=sigma)
+    unsure = np.hypot(*(shifts[1] - shifts[0]).T) / np.sqrt(12)  # of an even distribution
+    sigma = np.hypot(unsure, LEAN_SHARE * lean[:, 0] * np.hypot(*offset.T) / 2)
+    return replace(detections, position=moved, extent=extent, roof_sigma=sigma)
 
 
 def _find_insets(
