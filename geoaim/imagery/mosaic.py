@@ -24,6 +24,7 @@ from geoaim.base.grid import Grid, fit_affine, make_north_up_grid
 from geoaim.base.limits import check_memory, name_file
 from geoaim.base.world import LONLAT, World, transform_crs
 from geoaim.imagery import resampling
+from geoaim.imagery.addresses import find_kind
 from geoaim.imagery.collars import hide_collars
 from geoaim.imagery.rasters import (
     Region,
@@ -33,7 +34,7 @@ from geoaim.imagery.rasters import (
     make_region,
     measure_resolution,
 )
-from geoaim.imagery.remote import is_remote, open_remote, outline_dataset
+from geoaim.imagery.remote import open_remote, outline_dataset
 from geoaim.imagery.sources import (
     ImageryObject,
     Layer,
@@ -190,7 +191,7 @@ def read_lonlat(
     """Read longitudes and latitudes of the outlines of imagery."""
     listed, outlines = [], []
     for source in list_sources(sources):
-        if isinstance(source, str) and is_remote(source):  # of which no pixel is read
+        if isinstance(source, str) and find_kind(source) is not None:  # of which no pixel is read
             with open_remote(source, None, None) as dataset:
                 outlines.append(outline_dataset(dataset))
         else:

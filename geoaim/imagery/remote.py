@@ -27,7 +27,14 @@ from geoaim.base.errors import ImageryError, name_option
 from geoaim.base.geometry import transform_points
 from geoaim.base.grid import Grid
 from geoaim.base.raster_files import SETTINGS
-from geoaim.base.texts import hide_credentials
+from geoaim.imagery.addresses import (
+    FILES,
+    JOSM_PREFIX,
+    ask_where,
+    find_kind,
+    hide_keys,
+    name_address,
+)
 from geoaim.imagery.rasters import Raster, Region, describe_extent, measure_resolution
 from geoaim.imagery.tile_service import TIMEOUT_S, TOTAL_S
 
@@ -37,28 +44,7 @@ MARGIN_PX = 8  # of the needed part, for resampling at its edge
 MAX_ITEM_BYTES = 10_000_000
 MAX_WHOLE_PX = 4_000_000_000  # a dataset that is larger is no image, but a service of the Earth
 CACHE = Path("~/.cache/geoaim/gdal")
-FILES = (".tif", ".tiff", ".jp2")
 IMAGE_TYPES = ("image/tiff", "image/jp2")
-
-
-def is_remote(source: Any) -> bool:
-    """Tell whether a source is an address that GDAL reads, and not one of numbered tiles.
-
-    >>> is_remote("https://host/ortho.tif"), is_remote("https://host/{z}/{x}/{y}.png")
-    (True, False)
-    """
-    text = str(source)
-    if "://" not in text or re.search(r"\{-?(z|zoom|x|y|q|quadkey)\}", text):
-        return False
-    path = urlsplit(text).path.lower()
-    return path.endswith((*FILES, ".json", ".geojson")) or _find_service(text) is not None
-
-
-def name_remote(address: str) -> str:
-    """Name a remote source in messages and reports: its file, or its host."""
-    parts = urlsplit(hide_credentials(address[address.lower().index("http") :]))
-    name = Path(parts.path).name
-    return name if name.lower().endswith(FILES) else str(parts.hostname)
 
 
 @contextmanager
@@ -68,14 +54,14 @@ def open_remote(address: str, region: Region | None, resolution: float | None) -
     Raises:
         ImageryError: it does not answer, or is no imagery.
     """
-    name, service = name_remote(address), _find_service(address)
-    if urlsplit(address).path.lower().endswith("json") and service is None:
+    name, kind = name_address(address), find_kind(address)
+    if kind == "item":
         address = _find_asset(address)
     is_jp2 = urlsplit(address).path.lower().endswith(".jp2")
     target, driver = f"/vsicurl/{address}", "JP2OpenJPEG" if is_jp2 else "GTiff"
-    if service == "wms":
+    if kind == "wms":
         target, driver = _describe_wms(address, name, region, resolution), "WMS"
-    elif service == "wmts":
+    elif kind == "wmts":
         target, driver = _name_wmts(address), "WMTS"
     settings = SETTINGS | {
         "GDAL_HTTP_TIMEOUT": TIMEOUT_S,
@@ -90,7 +76,7 @@ def open_remote(address: str, region: Region | None, resolution: float | None) -
         with rasterio.Env(**settings), rasterio.open(target, driver=driver, sharing=False) as data:
             yield data
     except (RasterioError, CPLE_BaseError, OSError) as error:
-        reason = re.sub(r"\?\S*", "?...", hide_credentials(str(error.__cause__ or error)))
+        reason = hide_keys(str(error.__cause__ or error))
         raise ImageryError(f"{name} cannot be read: {reason}") from error
 
 
@@ -104,7 +90,7 @@ def copy_part(
     """
     if region is None or dataset.crs is None:
         if dataset.width * dataset.height > MAX_WHOLE_PX:
-            raise _ask_where(name)
+            raise ask_where(name)
         rasterio.shutil.copy(dataset, path, driver="GTiff")
         return
     window = _find_window(dataset, region, name)
@@ -146,14 +132,6 @@ def copy_part(
                 )
 
 
-def _ask_where(name: str) -> ImageryError:
-    """What is said of a service without a region."""
-    return ImageryError(
-        f"{name} is a service of the whole Earth: give what says where, "
-        + name_option("--aim or --tracks", "the world and the corners")
-    )
-
-
 def _is_service(dataset: Any) -> bool:
     return dataset.driver in ("WMS", "WMTS")
 
@@ -175,20 +153,9 @@ def _find_window(dataset: Any, region: Region, name: str) -> Window:
     return Window(*low, *(high - low))
 
 
-def _find_service(address: str) -> str | None:
-    """Which service an address names: "wms", "wmts" or None."""
-    lower = address.lower()
-    if lower.startswith(("wmts:", "wms:")):
-        return lower.split(":")[0]
-    query = {key.lower(): value.lower() for key, value in parse_qsl(urlsplit(address).query)}
-    if query.get("service") in ("wms", "wmts"):
-        return query["service"]
-    return "wmts" if urlsplit(lower).path.endswith("wmtscapabilities.xml") else None
-
-
 def _name_wmts(address: str) -> str:
     """What GDAL opens of the address of a WMTS, with its `layer`, if it names one."""
-    address = re.sub(r"^wmts:", "", address, flags=re.I)
+    address = JOSM_PREFIX.sub("", address)
     layer = re.search(r"[?&,]layer=([^&,]+)", address, re.I)
     kept = re.sub(r"[?&](layer|request)=[^&]*", "", address, flags=re.I).split(",")[0]
     if "service=wmts" in kept.lower():
@@ -199,14 +166,14 @@ def _name_wmts(address: str) -> str:
 
 def _describe_wms(address: str, name: str, region: Region | None, resolution: float | None) -> str:
     """Describe a WMS for GDAL: just the region, at the resolution that is needed."""
-    address = re.sub(r"^wms:", "", address, flags=re.I)
+    address = JOSM_PREFIX.sub("", address)
     query = {key.lower(): value for key, value in parse_qsl(urlsplit(address).query)}
     if "layers" not in query:
         raise ImageryError(
             f"{name} is a WMS: name its layer, https://host/wms?service=WMS&layers=NAME"
         )
     if region is None:
-        raise _ask_where(name)
+        raise ask_where(name)
     crs = query.get("crs") or query.get("srs") or "EPSG:3857"
     points = region.to_crs(crs)
     (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
@@ -236,7 +203,7 @@ def _describe_wms(address: str, name: str, region: Region | None, resolution: fl
 
 def _find_asset(address: str) -> str:
     """Find the image of a STAC item: what is shown (`visual`), or else its data."""
-    name = name_remote(address)
+    name = name_address(address)
     try:
         with urllib.request.urlopen(address, timeout=TIMEOUT_S) as response:
             item = json.loads(response.read(MAX_ITEM_BYTES))

@@ -20,16 +20,17 @@ from rasterio.vrt import WarpedVRT
 from geoaim.base.errors import GeoaimWarning, ImageryError, name_option, warn
 from geoaim.base.limits import open_sqlite, refuse_damaged
 from geoaim.base.raster_files import IMAGE_DRIVERS
-from geoaim.base.texts import hide_credentials
+from geoaim.imagery.addresses import (
+    ask_where,
+    find_kind,
+    hide_keys,
+    is_address,
+    name_address,
+    normalise_address,
+)
 from geoaim.imagery.collars import leave_out_placeholders
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
-from geoaim.imagery.remote import (
-    FINEST_RESOLUTION_M,
-    copy_part,
-    is_remote,
-    name_remote,
-    open_remote,
-)
+from geoaim.imagery.remote import FINEST_RESOLUTION_M, copy_part, open_remote
 from geoaim.imagery.tile_schemes import check_mbtiles, read_scheme
 from geoaim.imagery.tile_service import MAX_TILE_BYTES, Service, fetch_tiles
 from geoaim.imagery.tiles import (
@@ -42,9 +43,7 @@ from geoaim.imagery.tiles import (
     compute_world_fractions,
     georeference_tile,
     intersect_tiles,
-    is_address,
     list_tiles,
-    normalise_address,
 )
 
 GEOTIFF_SUFFIXES = {".tif", ".tiff"}
@@ -262,13 +261,10 @@ def _describe_tiles(
 def _describe_service(
     tiles: Tiles, address: str, region: Region | None, resolution: float | None
 ) -> Layer:
-    name = _hide_query(hide_credentials(address))
+    name = hide_keys(address)
     address = normalise_address(address, name)
     if region is None:
-        raise ImageryError(
-            f"{name} is a service of the whole Earth: give what says where, "
-            + name_option("--aim or --tracks", "the world and the corners")
-        )
+        raise ask_where(name)
     service = Service(
         address=address.replace("{y}", "{-y}") if tiles.tms else address,
         name=name,
@@ -316,11 +312,6 @@ def _find_finest_zoom(tiles: Tiles, service: Service, region: Region) -> int:
     )
 
 
-def _hide_query(address: str) -> str:
-    """Remove the query of an address, which may hold keys."""
-    return address.split("?")[0] if "://" in address else address
-
-
 RGB = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
 
 
@@ -356,8 +347,8 @@ def fetch_parts(
     for number, source in enumerate(sources, 1):
         own = folder / str(number)
         own.mkdir()
-        if isinstance(source, str) and is_remote(source):
-            name = name_remote(source)
+        if isinstance(source, str) and find_kind(source) is not None:
+            name = name_address(source)
             path = own / f"{name.removesuffix('.tif')}.tif"
             with open_remote(source, region, resolution) as dataset:
                 copy_part(dataset, path, region, resolution, name)
@@ -373,7 +364,7 @@ def _write_object(source: Any, path: Path, region: Region | None, resolution: fl
         plain = isinstance(source, DatasetReader) and source.driver in IMAGE_DRIVERS
         if plain and os.path.isfile(source.name):
             return str(source.name)
-        copy_part(source, path, region, resolution, _hide_query(hide_credentials(source.name)))
+        copy_part(source, path, region, resolution, hide_keys(source.name))
         return str(path)
     try:
         import rioxarray  # noqa: F401, which adds .rio to arrays

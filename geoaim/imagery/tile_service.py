@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 from geoaim.base.errors import ImageryError, name_option
 from geoaim.base.files import atomic_write
 from geoaim.base.raster_files import open_raster_file
-from geoaim.base.texts import hide_credentials
+from geoaim.imagery.addresses import hide_keys
 from geoaim.imagery.tiles import make_quadkey
 
 CONNECTIONS = 4
@@ -122,8 +122,9 @@ def _request(service: Service, url: str) -> bytes:
             if code in MISSING_CODES:
                 return b""
             if attempt == RETRIES or isinstance(error, ImageryError):
-                reason = re.sub(r"\?\S*", "?...", hide_credentials(str(error)))
-                raise ImageryError(f"{service.name} cannot be read: {reason}") from error
+                raise ImageryError(
+                    f"{service.name} cannot be read: {hide_keys(str(error))}"
+                ) from error
         time.sleep(0.2 * 2**attempt)
     raise AssertionError
 

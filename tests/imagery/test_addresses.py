@@ -5,8 +5,8 @@ import re
 import pytest
 
 from geoaim.base.errors import ImageryError
+from geoaim.imagery.addresses import find_kind, is_address, normalise_address
 from geoaim.imagery.tile_service import _make_url
-from geoaim.imagery.tiles import is_address, normalise_address
 
 
 @pytest.mark.parametrize(
@@ -52,3 +52,20 @@ def test_what_has_no_numbers_of_tiles_is_refused(address: str, message: str) -> 
 @pytest.mark.parametrize("name", ["tiles/a.png", "C:\\tiles", "tiles/*.jpg", "a.mbtiles"])
 def test_names_of_files_are_no_addresses(name: str) -> None:
     assert not is_address(name)
+
+
+@pytest.mark.parametrize(
+    ("address", "kind"),
+    [
+        ("https://h/ortho.TIF?key=1", "file"),
+        ("https://h/item.json", "item"),
+        ("wms[3]:https://h/w?layers=a", "wms"),
+        ("https://h/WMTSCapabilities.xml", "wmts"),
+        ("tms:https://h/{zoom}/{x}/{ty}.tif", None),
+        ("https://h/tiles/a{quadkey}.tif", None),
+        ("folder/ortho.tif", None),
+        ("https://h/page", None),
+    ],
+)
+def test_what_an_address_leads_to(address: str, kind: str | None) -> None:
+    assert find_kind(address) == kind

@@ -16,11 +16,12 @@ from geoaim.base.errors import AlignmentError, warn
 from geoaim.base.geometry import transform_points, translation
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.base.world import choose_world, world_from_lonlat
+from geoaim.imagery.addresses import is_address
 from geoaim.imagery.alignment.by_image import CORRELATED_WINDOWS, MatchedWindows, match_image
 from geoaim.imagery.alignment.result import Prior
 from geoaim.imagery.mosaic import read_imagery, read_lonlat
 from geoaim.imagery.sources import Source, list_sources
-from geoaim.imagery.tiles import Tiles, is_address
+from geoaim.imagery.tiles import Tiles
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.point_checks import warn_of_small_part
