@@ -12,10 +12,10 @@ from geoaim.simulation.simulator import Policy, Scenario
 from geoaim.simulation.yielding import (
     MAX_DECELERATION_MPS2,
     Encounters,
-    Plan,
+    RightsOfWay,
+    find_rights_of_way,
     limit_acceleration,
     locate_entries,
-    make_plan,
     swap,
 )
 from geoaim.tracks.car_following import DriverParameters, compute_gap_ratio
@@ -56,24 +56,24 @@ def make_idm_policy(
     lines = None
     if stop_lines is not None and len(stop_lines):
         lines = intersect_stop_lines(routes.points, stop_lines)
-    plan = make_plan(routes, sizes, controlled)
+    rights = find_rights_of_way(routes, sizes, controlled)
 
     def act(scenario: Scenario, path: Float[Tensor, "B A t 4"]) -> Tensor:
         now = path.shape[2] - 1
         states, speed = path[:, :, -1], path[:, :, -1, 3].clamp_min(0)
-        here = locate(plan.points, states[..., :2])
+        here = locate(rights.points, states[..., :2])
         room = torch.where(routes.stops, routes.lengths - here, torch.inf)
         if lines is not None and light_states is not None:
             fronts = here + scenario.sizes[..., 0] / 2
             to_line = find_red_lights(lines, fronts, speed, light_states[:, now])
             room = torch.where(scenario.pedestrian, room, torch.minimum(room, to_line - STOP_GAP_M))
         standing = compute_gap_ratio(DRIVER, speed, speed, room + DRIVER.standstill_gap)
-        agents = locate_entries(plan, here, speed, scenario.present[:, :, now])
-        ratio = torch.maximum(standing, _find_leaders(plan, agents).view_as(speed))
+        agents = locate_entries(rights, here, speed, scenario.present[:, :, now])
+        ratio = torch.maximum(standing, _find_leaders(rights, agents).view_as(speed))
         acceleration = _accelerate(speed, desired_speeds, ratio)
-        limited = limit_acceleration(plan, agents, acceleration.flatten(), scenario.dt)
+        limited = limit_acceleration(rights, agents, acceleration.flatten(), scenario.dt)
         actions = torch.maximum(limited.view_as(speed), -speed / scenario.dt)
-        return torch.stack([actions, _steer(plan, here, states, scenario)], dim=-1)
+        return torch.stack([actions, _steer(rights, here, states, scenario)], dim=-1)
 
     return act
 
@@ -85,9 +85,9 @@ def _accelerate(speed: Tensor, desired_speed: Tensor, ratio: Tensor) -> Tensor:
     return (DRIVER.acceleration * (free - ratio.square())).clamp_min(-MAX_DECELERATION_MPS2)
 
 
-def _find_leaders(plan: Plan, agents: Encounters) -> Float[Tensor, "n"]:
+def _find_leaders(rights: RightsOfWay, agents: Encounters) -> Float[Tensor, "n"]:
     """Find the ratio of the desired to the actual gap to the agent ahead; 0 without one."""
-    ways = plan.conflicts
+    ways = rights.conflicts
     closing_speed = agents.pace - ways.slope * swap(agents.pace)
     ratio = compute_gap_ratio(DRIVER, agents.pace, closing_speed, agents.room + REACH_SLACK_M)
     ratio = torch.where(agents.is_ahead & swap(agents.place >= ways.start), ratio, 0.0)
@@ -95,7 +95,10 @@ def _find_leaders(plan: Plan, agents: Encounters) -> Float[Tensor, "n"]:
 
 
 def _steer(
-    plan: Plan, here: Float[Tensor, "B A"], states: Float[Tensor, "B A 4"], scenario: Scenario
+    rights: RightsOfWay,
+    here: Float[Tensor, "B A"],
+    states: Float[Tensor, "B A 4"],
+    scenario: Scenario,
 ) -> Float[Tensor, "B A"]:
     """Steer (radians, for pedestrians rad/s) so that the centre moves on an arc to a route's point.
 
@@ -104,7 +107,7 @@ def _steer(
     """
     speed = states[..., 3]
     lookahead = (LOOKAHEAD_S * speed.abs()).clamp_min(MIN_LOOKAHEAD_M)
-    chord = interpolate(plan.points, here + lookahead) - states[..., :2]
+    chord = interpolate(rights.points, here + lookahead) - states[..., :2]
     distance = chord.norm(dim=-1).clamp_min(MIN_CHORD_M)
     heading = torch.stack([states[..., 2].cos(), states[..., 2].sin()], dim=-1)
     turn = torch.atan2(cross(heading, chord), (heading * chord).sum(-1))

@@ -24,7 +24,7 @@ MIN_SPEED_MPS = 0.1  # avoids divisions by zero
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class RightsOfWay:
     """What stays the same in a simulation: routes, and conflicts with E entries."""
 
     points: Float[Tensor, "B A P 2"]
@@ -56,34 +56,34 @@ class _Reserved:
     end: Float[Tensor, "E"]  # the end of the conflicts in which it would stop
 
 
-def make_plan(
+def find_rights_of_way(
     routes: Routes, sizes: Float[Tensor, "B A 2"], controlled: Bool[Tensor, "B A"]
-) -> Plan:
+) -> RightsOfWay:
     """Find the conflicts of routes, and who goes first in them."""
     conflicts = find_conflicts(routes, sizes, controlled)
     other = swap(conflicts.agent)
     replays = ~controlled.flatten()[other]
     first = replays | (other < conflicts.agent)
     is_along = conflicts.follows | conflicts.faces
-    return Plan(routes.points, conflicts, is_along, replays, bool(replays.any()), first)
+    return RightsOfWay(routes.points, conflicts, is_along, replays, bool(replays.any()), first)
 
 
 def locate_entries(
-    plan: Plan,
+    rights: RightsOfWay,
     here: Float[Tensor, "B A"],
     speed: Float[Tensor, "B A"],
     present: Bool[Tensor, "B A"],
 ) -> Encounters:
     """Look up the agents of all conflicts, and which conflicts are open."""
     here, speed = here.flatten(), speed.flatten()
-    own = plan.conflicts.agent
+    own = rights.conflicts.agent
     place = here.gather(0, own)
-    is_open = present.flatten().gather(0, own) & (place <= plan.conflicts.end)
+    is_open = present.flatten().gather(0, own) & (place <= rights.conflicts.end)
     is_open = is_open & swap(is_open)
-    distance = plan.conflicts.offset + plan.conflicts.slope * swap(place) - place
-    is_ahead = (distance > MERGE_TIE_M) | ((distance > -MERGE_TIE_M) & plan.first)
-    is_ahead &= plan.is_along & is_open
-    room = distance - plan.conflicts.reach
+    distance = rights.conflicts.offset + rights.conflicts.slope * swap(place) - place
+    is_ahead = (distance > MERGE_TIE_M) | ((distance > -MERGE_TIE_M) & rights.first)
+    is_ahead &= rights.is_along & is_open
+    room = distance - rights.conflicts.reach
     return Encounters(here, speed, place, speed.gather(0, own), is_open, room, is_ahead)
 
 
@@ -93,21 +93,21 @@ def swap(values: Tensor) -> Tensor:
 
 
 def limit_acceleration(
-    plan: Plan, agents: Encounters, acceleration: Float[Tensor, "n"], dt: float
+    rights: RightsOfWay, agents: Encounters, acceleration: Float[Tensor, "n"], dt: float
 ) -> Float[Tensor, "n"]:
     """Brake where an acceleration would lead into what others have reserved."""
-    ways = plan.conflicts
+    ways = rights.conflicts
     next_speed = (agents.speed + acceleration * dt).clamp_min(0)
     next_here = agents.here + (agents.speed + next_speed) * (dt / 2)
     stops = (_stop(agents.here, agents.speed, dt), _stop(next_here, next_speed, dt))
-    now, wanted = _reserve(plan, agents, torch.stack(stops))
+    now, wanted = _reserve(rights, agents, torch.stack(stops))
     inside = now.end >= ways.start
-    early = _find_early_arrivals(plan, agents) if plan.any_replays else plan.replays
+    early = _find_early_arrivals(rights, agents) if rights.any_replays else rights.replays
     enters = (wanted.end >= ways.start) & ~ways.follows & ~inside
-    waits = (enters & (swap(inside) | early)) | _find_near(plan, agents, now, wanted)
-    waits = agents.is_open & (waits | _find_queues(plan, agents, now, wanted))
-    waits |= enters & swap(enters) & _find_first(plan, waits)
-    halts = _find_emergencies(plan, agents, inside, early)
+    waits = (enters & (swap(inside) | early)) | _find_near(rights, agents, now, wanted)
+    waits = agents.is_open & (waits | _find_queues(rights, agents, now, wanted))
+    waits |= enters & swap(enters) & _find_first(rights, waits)
+    halts = _find_emergencies(rights, agents, inside, early)
     brake = torch.full_like(agents.place, torch.inf)
     brake.masked_fill_(waits & agents.is_open, -YIELD_DECELERATION_MPS2)
     brake.masked_fill_(halts & agents.is_open, -MAX_DECELERATION_MPS2)
@@ -120,11 +120,11 @@ def _stop(here: Float[Tensor, "n"], speed: Float[Tensor, "n"], dt: float) -> Flo
 
 
 def _reserve(
-    plan: Plan, agents: Encounters, stop: Float[Tensor, "2 n"]
+    rights: RightsOfWay, agents: Encounters, stop: Float[Tensor, "2 n"]
 ) -> tuple[_Reserved, _Reserved]:
     """Reserve the ground up to each of two stops, and on to the end of the crossings there."""
-    own, start = plan.conflicts.agent.expand(2, -1), plan.conflicts.start
-    last = torch.where(agents.is_open & ~plan.conflicts.follows, plan.conflicts.end, -torch.inf)
+    own, start = rights.conflicts.agent.expand(2, -1), rights.conflicts.start
+    last = torch.where(agents.is_open & ~rights.conflicts.follows, rights.conflicts.end, -torch.inf)
     end = stop
     for _ in range(MAX_CHAINED_CROSSINGS):
         reached = torch.where(end.gather(1, own) >= start, last, -torch.inf)
@@ -133,28 +133,28 @@ def _reserve(
     return _Reserved(stop[0], end[0]), _Reserved(stop[1], end[1])
 
 
-def _find_early_arrivals(plan: Plan, agents: Encounters) -> Bool[Tensor, "E"]:
+def _find_early_arrivals(rights: RightsOfWay, agents: Encounters) -> Bool[Tensor, "E"]:
     """Mark conflicts that a replayed agent reaches before this agent has left them."""
-    ways = plan.conflicts
+    ways = rights.conflicts
     rest = (ways.end - agents.place).clamp_min(0)
     final = (agents.pace.square() + 2 * CLEARING_ACCELERATION_MPS2 * rest + MIN_SPEED_MPS**2).sqrt()
     duration = 2 * rest / (agents.pace + final)  # when it accelerates as fast as it can
-    return plan.replays & (swap(agents.place) + swap(agents.pace) * duration >= swap(ways.start))
+    return rights.replays & (swap(agents.place) + swap(agents.pace) * duration >= swap(ways.start))
 
 
-def _find_first(plan: Plan, waits: Bool[Tensor, "E"]) -> Bool[Tensor, "E"]:
+def _find_first(rights: RightsOfWay, waits: Bool[Tensor, "E"]) -> Bool[Tensor, "E"]:
     """Mark entries whose other agent goes first; one that waits anyway lets others go."""
-    own = plan.conflicts.agent
-    stands = torch.zeros(plan.points.shape[:2].numel(), dtype=torch.bool, device=own.device)
+    own = rights.conflicts.agent
+    stands = torch.zeros(rights.points.shape[:2].numel(), dtype=torch.bool, device=own.device)
     stands = stands.index_fill(0, own[waits], True)
-    return plan.first & (plan.replays | ~swap(stands[own]))
+    return rights.first & (rights.replays | ~swap(stands[own]))
 
 
 def _find_near(
-    plan: Plan, agents: Encounters, now: _Reserved, wanted: _Reserved
+    rights: RightsOfWay, agents: Encounters, now: _Reserved, wanted: _Reserved
 ) -> Bool[Tensor, "E"]:
     """Mark conflicts in which an agent could not stop behind a leader or before an oncoming one."""
-    ways = plan.conflicts
+    ways = rights.conflicts
     # change of the room once the other one has stopped
     change = ways.slope * swap(now.stop - agents.place)
     limit = agents.place + agents.room + change
@@ -166,10 +166,10 @@ def _find_near(
 
 
 def _find_queues(
-    plan: Plan, agents: Encounters, now: _Reserved, wanted: _Reserved
+    rights: RightsOfWay, agents: Encounters, now: _Reserved, wanted: _Reserved
 ) -> Bool[Tensor, "E"]:
     """Mark slow leaders behind whom there is no room beyond crossings that an agent enters."""
-    ways = plan.conflicts
+    ways = rights.conflicts
     slow = swap((agents.pace < QUEUE_SPEED_MPS) & (agents.place >= ways.start))
     enters = (wanted.end > wanted.stop) & (wanted.end > now.end)
     is_full = wanted.end > agents.place + agents.room
@@ -177,13 +177,13 @@ def _find_queues(
 
 
 def _find_emergencies(
-    plan: Plan, agents: Encounters, inside: Bool[Tensor, "E"], early: Bool[Tensor, "E"]
+    rights: RightsOfWay, agents: Encounters, inside: Bool[Tensor, "E"], early: Bool[Tensor, "E"]
 ) -> Bool[Tensor, "E"]:
     """Mark crossings that both have reserved, before which an agent can still stop."""
-    ways = plan.conflicts
+    ways = rights.conflicts
     both = inside & (swap(inside) | early) & ~ways.follows
     stop = agents.place + agents.pace.square() / (2 * MAX_DECELERATION_MPS2)
     is_before, is_in = stop < ways.start + STRIDE_M / 2, agents.place >= ways.start
-    goes_on = plan.replays | swap(~is_before)
-    is_second = torch.where(is_in == swap(is_in), plan.first, swap(is_in))
+    goes_on = rights.replays | swap(~is_before)
+    is_second = torch.where(is_in == swap(is_in), rights.first, swap(is_in))
     return both & is_before & (goes_on | is_second)

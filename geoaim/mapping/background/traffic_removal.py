@@ -67,7 +67,6 @@ GROWTH_PX = 4  # of the pixels in doubt, whose rim shows half a vehicle
 WINDOW_PX = 21  # about a vehicle's width: in which a frame is compared with the guess
 LARGEST_DIFFERENCE = 2  # of a pixel, in thresholds: a mark on the ground or a vehicle
 MIN_REPEATS = 2  # frames that must look alike: a single one may show a passing vehicle's roof
-MAX_COST = 0.5  # share of the largest difference up to which a single frame is taken
 INPAINTING_PX = 5  # radius of the fill
 SEAM_WINDOW = np.ones((7, 7), np.uint8)  # that some frame must show as the background does
 
@@ -282,16 +281,16 @@ def continue_ground(
     unknown = np.asarray(cv2.dilate(doubtful.view(np.uint8), disc), np.uint8)
     guess = np.asarray(cv2.inpaint(background, unknown, INPAINTING_PX, cv2.INPAINT_TELEA), np.uint8)
     largest = round(LARGEST_DIFFERENCE * threshold)
-    chosen, cost = _choose_frames(stack, seen, guess, unknown, largest)
+    chosen = _choose_frames(stack, seen, guess, unknown, largest)
     alike = find_alike(stack, seen, chosen, threshold)
-    known = (count_frames(alike) >= MIN_REPEATS) | (cost < MAX_COST * largest)
+    known = count_frames(alike) >= MIN_REPEATS
     inside = unknown.view(bool)
     return average_frames_at(stack, alike, inside & known, background), inside & ~known
 
 
 def _choose_frames(
     stack: Stack, seen: Masks, guess: Image, unknown: UInt8[Array, "h w"], largest: int
-) -> tuple[Image, Float32[Array, "h w"]]:
+) -> Image:
     """The frame of each unknown pixel that differs least from the guess over a window about it."""
     least = np.full(unknown.shape, np.inf, np.float32)
     chosen = guess.copy()
@@ -303,8 +302,7 @@ def _choose_frames(
         lower = ((cost < least) & visible).view(np.uint8) & unknown
         cv2.copyTo(cost, lower, least)
         cv2.copyTo(frame, lower, chosen)
-    area = cv2.boxFilter(unknown, cv2.CV_32F, (WINDOW_PX, WINDOW_PX), normalize=False)
-    return chosen, least / np.maximum(area, 1)
+    return chosen
 
 
 def find_seams(differs: Masks, seen: Masks) -> Bool[Array, "h w"]:
