@@ -30,8 +30,10 @@ from geoaim.tracks.tracks import estimate_heading
 
 MAX_REVERSE_SPEED = 3.5  # m/s; a faster vehicle drives forward
 MIN_TRAVEL_M = 1.5  # of a vehicle that does not stand all the time
-# by which errors of the middle turn a vehicle: its axle averages them, and a stop keeps one
-MOVING_SHARE, STILL_SHARE = 0.75, 1.7
+# by which errors of the middle turn a vehicle: its axle averages them, and a stop keeps one. Of
+# what stands on lanes (validation seeds 900, 910), 90 % then lie in their 95 % range where errors
+# last for 1.5 s (83 and 87 % with 1.7), 91 and 96 % where they last for 3 s, all of plain boxes
+MOVING_SHARE, STILL_SHARE = 0.75, 2.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +66,9 @@ def compute_poses(
             continue
         seen = rows.detection[part]
         stands = find_standing(detections, seen[seen >= 0], agents.types[agent], lanes)
-        standing, unsure = stands.face(np.array(forward))
+        standing, unsure = stands.face(np.array([forward]))
         length = float(agents.sizes[agent, 0])
-        given = float(standing), float(unsure)
+        given = float(standing[0]), float(unsure[0])
         found = _compute_vehicle_headings(motion, length, given, seen >= 0)
         heading[part], sigma[part] = found
     velocity = smoothed.mean[:, 1]
