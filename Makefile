@@ -59,19 +59,25 @@ notebook: .venv/jupyterlab
 
 # there is a worker for each core already
 tests changed test-slow test-lowest coverage: export OMP_NUM_THREADS = 1
+# tests that fail run once more, one by one: what fails by the machine's load alone fails no run
+define run_tests
+$(BIN)/python -m pytest --cache-clear $(1) || { [ $$? -eq 1 ] && \
+	$(BIN)/python -m pytest $(1) -n 0 --last-failed --last-failed-no-failures none; }
+endef
+
 # a lint that waits for one core leaves the others to the tests
 test: install
 	$(MAKE) --no-print-directory -j 2 lint tests
 
 tests: install
-	$(BIN)/python tests/second_chance.py -n auto --dist loadfile --durations 30 \
-		-m "not slow and not benchmarks" geoaim tests $(if $(QUICK_NOTEBOOKS),--nbmake $(QUICK_NOTEBOOKS))
+	$(call run_tests,-n auto --dist loadfile --durations 30 -m "not slow and not benchmarks" \
+		geoaim tests $(if $(QUICK_NOTEBOOKS),--nbmake $(QUICK_NOTEBOOKS)))
 
 test-slow: install
-	$(BIN)/python tests/second_chance.py -n auto --dist loadfile -m "slow or hypothesis or benchmarks" \
-		--hypothesis-profile many $(SHAPES)
-	$(if $(NOTEBOOKS),$(BIN)/python tests/second_chance.py -n auto -o addopts= --nbmake \
-		$(filter-out $(QUICK_NOTEBOOKS),$(NOTEBOOKS)))
+	$(call run_tests,-n auto --dist loadfile -m "slow or hypothesis or benchmarks" \
+		--hypothesis-profile many $(SHAPES))
+	$(if $(NOTEBOOKS),$(call run_tests,-n auto -o addopts= --nbmake \
+		$(filter-out $(QUICK_NOTEBOOKS),$(NOTEBOOKS))))
 
 check: install
 	$(MAKE) --no-print-directory -j 2 lint changed

@@ -28,11 +28,7 @@ def find_data() -> Path | None:
 def require_data(name: str = ".") -> Path:
     """Return a folder of the real data.
 
-    Args:
-        name: its path below the folder that GEOAIM_DATA names; ".": that folder itself.
-
-    Returns:
-        The path, which is a folder.
+    `name`: its path below the folder that GEOAIM_DATA names; ".": that folder itself.
 
     Raises:
         TracksError: GEOAIM_DATA is not set, or there is no such folder below it.

@@ -123,13 +123,7 @@ def _measure_lengths(clip: Path) -> Iterator[dict[str, Any]]:
 def repeat_packets(clip: Path, path: Path, duration: float) -> Path:
     """Repeat the packets of a clip without decoding them.
 
-    Args:
-        clip: video to repeat.
-        path: video to write.
-        duration: duration of the video to write, seconds.
-
-    Returns:
-        `path`.
+    `duration`: duration of the video to write, seconds.
     """
     with av.open(str(path), "w") as out:
         copied: Any = None

@@ -17,12 +17,8 @@ Measure = Callable[[bool, Progress], Results]  # takes whether to be quick, and 
 def make_main(stage: str, measure: Measure) -> Callable[..., None]:
     """Make the command of a stage.
 
-    Args:
-        stage: the last part of the module's name, and the name of the files.
-        measure: measures the stage.
-
-    Returns:
-        A function that typer runs.
+    `stage`: the last part of the module's name, and the name of the files. Returns a function that
+    typer runs.
     """
 
     def main(

@@ -29,10 +29,7 @@ STAGES = {
     "python -m benchmarks.prediction": ("geoaim/prediction",),
     "python -m benchmarks.realism": ("benchmarks/synthetic",),
     "python -m benchmarks.registration": ("geoaim/mapping/registration",),
-    "python -m benchmarks.rendering.exactness": (
-        "geoaim/rendering/coverage.py",
-        "geoaim/rendering/triangles.py",
-    ),
+    "python -m benchmarks.rendering.exactness": ("geoaim/rendering/coverage.py",),
     "python -m benchmarks.rendering": ("geoaim/rendering",),
     "python -m benchmarks.short_clips": (
         "geoaim/mapping/registration",
@@ -48,8 +45,7 @@ STAGES = {
 def list_stale() -> Iterator[tuple[str, str, str]]:
     """List results that are out of date.
 
-    Yields:
-        The result's file, the command that makes it, and why it is out of date.
+    Yields the result's file, the command that makes it, and why it is out of date.
     """
     for folder in RESULTS:
         for path in sorted((ROOT / folder).glob("*.json")):

@@ -19,16 +19,47 @@ import torch
 import typer
 from jaxtyping import Float
 from numpy import ndarray as Array
+from torch import Tensor
 
 from benchmarks.charts import draw_fronts
 from benchmarks.rendering.batches import AGENTS, CAR_SIZE_M, VIEW_SIDE_M
 from benchmarks.results import ChartFile, JsonFile, Row, print_rows, time_medians, write_rows
 from geoaim.rendering.coverage import measure_overlap
-from geoaim.rendering.triangles import compute_pixel_coverage
 
 CARS = 400
 STEP_PX = 1e-3  # of differences
 Way = Callable[[Float[Array, "2 m"], Float[Array, "m"], Float[Array, "2"]], Float[Array, "m"]]
+
+
+def compute_pixel_coverage(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
+    """Compute the area that polygons share with the unit square, by Green's theorem.
+
+    It is the integral of x dy around each polygon, with both clamped to [0, 1].
+
+    >>> square = torch.tensor([[[0.5, 0.5], [9.0, 0.5], [9.0, 9.0], [0.5, 9.0]]])
+    >>> compute_pixel_coverage(square).tolist()
+    [0.25]
+    """
+    x, y = corners.unbind(-1)
+    next_y = y.roll(-1, 1)
+    run, rise = x.roll(-1, 1) - x, next_y - y
+    slope = run / torch.where(rise == 0, 1.0, rise)
+    # ends of the part of the edge in the square's rows
+    start, end = y.clamp(0, 1), next_y.clamp(0, 1)
+    first_x = x + (start - y) * slope
+    last_x = x + (end - y) * slope
+    width = last_x - first_x
+    vertical = width.abs() < 1e-3  # pixels
+    mean_x = _integrate_within_limits(last_x) - _integrate_within_limits(first_x)
+    mean_x = mean_x / torch.where(vertical, 1.0, width)
+    mean_x = torch.where(vertical, ((first_x + last_x) / 2).clamp(0, 1), mean_x)
+    return ((end - start) * mean_x).sum(1)
+
+
+def _integrate_within_limits(x: Tensor) -> Tensor:
+    """Integrate from 0 to x its value clamped to [0, 1]."""
+    clamped = x.clamp(0, 1)
+    return clamped * (x - clamped / 2)
 
 
 def _cover_exactly(place: Array, turn: Array, half: Array) -> Array:

@@ -29,10 +29,7 @@ def write_sample(
 
     The folder appears when it is complete; a sample that exists is neither replaced nor changed.
 
-    Args:
-        sample: what is written.
-        folder: a new or empty folder.
-        progress: called with the stage, the number of steps done, and their total.
+    `folder`: a new or empty folder.
 
     Raises:
         ValueError: the folder holds files.

@@ -10,9 +10,6 @@ from numpy import ndarray as Array
 
 from geoaim.base.files import atomic_write
 
-# with two threads x264 gives other bytes in most runs, with as many as cores on each machine
-ENCODER_THREADS = 1
-
 
 def write_video(
     frames: Iterable[UInt8[Array, "H W 3"]],
@@ -35,7 +32,8 @@ def write_video(
         options |= {"b": f"{megabits}M"} if megabits else {"crf": str(crf)}
         stream = container.add_stream("libx264", rate, options=options)
         stream.pix_fmt = "yuv420p"
-        stream.thread_count = ENCODER_THREADS
+        # with two x264 gives other bytes in most runs, with as many as cores on each machine
+        stream.thread_count = 1
         for index, frame in enumerate(frames):
             if index == 0:
                 stream.height, stream.width = frame.shape[:2]

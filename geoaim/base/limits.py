@@ -12,10 +12,8 @@ from geoaim.base.errors import GeoaimError
 from geoaim.base.texts import show_text
 
 MAX_GB_VARIABLE = "GEOAIM_MAX_GB"  # environment variable
-DEFAULT_MAX_GB = 1.0
 # bytes in memory per byte of the file at most; images of one colour compress this well
 MAX_RATIO = 300
-MAX_REASON_CHARS = 300
 MAX_POSITION_M = 1e8  # distance from the origin; the Earth's circumference is 4e7 m
 MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 MAX_RECORDING_S = 864_000.0  # ten days; a video whose frames are further apart is damaged
@@ -31,7 +29,7 @@ def read_memory_limit() -> float:
     Raises:
         SettingError: that environment variable is not a number.
     """
-    text = os.environ.get(MAX_GB_VARIABLE, str(DEFAULT_MAX_GB))
+    text = os.environ.get(MAX_GB_VARIABLE, "1.0")
     try:
         return float(text) * 1e9
     except ValueError:
@@ -129,12 +127,11 @@ def refuse_damaged(
         named = getattr(error, "filename", None)
         if isinstance(error, OSError) and named and str(named) != str(path):
             raise  # such as a full disk for what is written meanwhile
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_REASON_CHARS]
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         raise error_type(f"{path} is not {needed}, or is damaged ({reason})") from error
 
 
 STEPS = 20_000_000  # of SQLite's machine: about a second; a million rows are counted within it
-STEPS_PER_BYTE = 1.0
 
 
 @contextmanager
@@ -144,7 +141,7 @@ def open_sqlite(path: str | os.PathLike[str]) -> Iterator[sqlite3.Connection]:
     Raises:
         sqlite3.Error: the file is damaged, or reading it takes more steps than its size explains.
     """
-    limit = STEPS + STEPS_PER_BYTE * os.path.getsize(path)
+    limit = STEPS + os.path.getsize(path)
     uri = f"{Path(path).absolute().as_uri()}?mode=ro"
     with closing(sqlite3.connect(uri, uri=True)) as database:
         database.execute("PRAGMA trusted_schema = OFF")

@@ -16,8 +16,6 @@ from typing import Any
 
 import numpy as np
 
-ARRAY_KINDS = "biufSU"  # kinds of NumPy's types: numbers and texts
-KEYS = (str, int, float, bytes, type(None))
 MEMORY, MEMORY_PER_BYTE = 3e8, 20  # bytes while a pickle is read, and for each byte of it
 SECONDS, BYTES_PER_S = 3, 5e6
 MAX_SHARING = 3  # size of the data, with what is shared counted each time, by that of the file
@@ -83,7 +81,7 @@ class _Type:
 
     def __init__(self, code: str, *_: object) -> None:
         self.dtype = np.dtype(code if isinstance(code, str) else "O")
-        if self.dtype.kind not in ARRAY_KINDS:
+        if self.dtype.kind not in "biufSU":  # numbers and texts
             raise ValueError(f"it has an array of {code!r}; one of numbers or texts is needed")
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
@@ -116,7 +114,7 @@ def _copy_plain(value: Any, budget: list[int]) -> Any:
     if value is None or type(value) in (bool, int, float, str, bytes, bytearray, np.ndarray):
         return value
     if type(value) is dict:
-        if not all(isinstance(key, KEYS) for key in value):
+        if not all(isinstance(key, str | int | float | bytes | None) for key in value):
             raise ValueError("a key in it is no text and no number")
         return {key: _copy_plain(item, budget) for key, item in value.items()}
     if type(value) in (list, tuple, set, frozenset):

@@ -24,10 +24,6 @@ from geoaim.base.files import keep_files_of_others
 from geoaim.base.progress import Progress
 from geoaim.base.texts import show_text
 
-# line length where the output is no terminal, so that each message stays on one line
-LINE_CHARS = 10_000
-# markup is off, as file names may have brackets
-
 
 class _Console(Console):
     """A console on which no text of a file acts."""
@@ -39,7 +35,8 @@ class _Console(Console):
             yield part if part.control else Segment(show_text(part.text), part.style)
 
 
-console = _Console(stderr=True, markup=False, width=None if sys.stderr.isatty() else LINE_CHARS)
+# markup is off, as file names may have brackets; in a file each message stays on one line
+console = _Console(stderr=True, markup=False, width=None if sys.stderr.isatty() else 10_000)
 TERMINATED = 143  # exit code
 stopping = Event()  # set once SIGTERM has arrived
 DEBUG = ContextVar("DEBUG", default=False)  # whether errors keep their traceback

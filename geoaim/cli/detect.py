@@ -10,7 +10,7 @@ from geoaim.cli.console import print_result, report_errors, show_progress
 
 
 def detect(
-    video: options.VideoSource,
+    video: options.VideoSources,
     output: Annotated[
         Path, options.output(".csv to write, or new folder for YOLO's oriented boxes (.txt)")
     ],

@@ -190,17 +190,18 @@ def _describe_imagery(source: str) -> Description:
 
 
 def _describe_video(source: str) -> Description:
-    from geoaim.mapping.video.video import open_video
+    from geoaim.mapping.video.video import VIDEO_SUFFIXES, open_video, warn_of_pace
 
     try:
         video = open_video(source)
     except GeoaimError as error:
-        if Path(source).suffix.lower() in VIDEOS:
+        if Path(source).suffix.lower() in VIDEO_SUFFIXES:
             raise
         raise GeoaimError(f"{source} is no file that geoaim reads: {error}") from error
     facts = {"size": f"{video.width} x {video.height} px"}
     if video.names is None:
         facts["length"] = f"{video.duration:.2f} s, {video.rate:.4g} frames/s"
+        warn_of_pace(video)
         facts["telemetry"] = "yes" if video.telemetry is not None else "none"
         return "video", facts, VIDEO_COMMANDS
     if video.frame_count == 1:
@@ -342,7 +343,6 @@ def _describe_telemetry(source: str) -> Description:
     return "telemetry of a drone", facts, ()
 
 
-VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".ts"}
 DESCRIBERS: dict[str, Callable[[str], Description]] = {
     **dict.fromkeys((".tif", ".tiff"), _describe_raster),
     **dict.fromkeys(IMAGES, _describe_image),

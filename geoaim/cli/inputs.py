@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 # how long futures are predicted
 DEFAULT_DURATIONS_S = {"vehicle": 4.0, "pedestrian": 8.0, "cyclist": 6.0}
-PRETRAINED_KINDS = "vehicles", "pedestrians"
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":
 
     if weights is None:
         kind = kind or "vehicles"
-        if kind not in PRETRAINED_KINDS:
+        if kind not in ("vehicles", "pedestrians"):
             raise ValueError(
                 f"no model of {kind} comes with geoaim; train one with geoaim train --kind {kind} "
                 "--scratch, and give --weights"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def build(
-    video: options.VideoSource,
+    video: options.VideoSources,
     output: Annotated[Path, options.output("GeoTIFF to write")],
     points: options.ControlPoints = None,
     detections: options.DetectionsFolder = None,
@@ -82,7 +82,7 @@ def build(
     from geoaim.mapping.build_map import MapSettings, build_map
 
     with show_progress() as progress, report_errors():
-        look = check_map_output(output, [video], [points])
+        look = check_map_output(output, video, [points])
         aim = build_map(
             video,
             output,
@@ -205,7 +205,7 @@ def frame(
 
 
 def register(
-    video: options.VideoSource,
+    video: options.VideoSources,
     output: Annotated[Path, options.output(".csv or .parquet to write")],
     detections: options.DetectionsFolder = None,
     reference_time: Annotated[

@@ -15,6 +15,15 @@ VideoSource = Annotated[
     str,
     typer.Argument(help="video file, or folder or glob of images; a part: hover.mp4#t=8.5,24 (s)"),
 ]
+VideoSources = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="VIDEO...",
+        help="video file or the files of one recording, or folder or glob of images; a part: "
+        "hover.mp4#t=8.5,24 (s)",
+        show_default=False,
+    ),
+]
 ControlPoints = Annotated[
     Path | None,
     typer.Option(help="control points: .csv, OpenDroneMap gcp_list.txt or QGIS .points"),

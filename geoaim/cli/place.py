@@ -10,7 +10,7 @@ from geoaim.cli.console import console, print_result, report_errors, show_progre
 
 
 def place(
-    video: options.VideoSource,
+    video: options.VideoSources,
     output: Annotated[Path, options.output("new folder for the map, the tracks and the report")],
     imagery: Annotated[
         list[str] | None, typer.Option(help="orthophoto or tiles of the place, which place the map")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def track(
-    video: options.VideoSource,
+    video: options.VideoSources,
     aim: Annotated[Path, typer.Option(help="AIM of the same ground, best one of this video")],
     output: Annotated[Path, options.output(".csv or .parquet to write")],
     detections: Annotated[

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 
 NOT_DRIVABLE = ("walkway", "crosswalk", "stairs", "bicycle_lane", "bikelane", "shared_walkway")
-DRIVABLE_AREAS = ("parking",)
 MAX_GAP_M = 0.3  # narrower gaps between lanes count as drivable
 LANE_SPACING_M = 1.0  # distance between points along a lane
 MIN_AREA_M2 = 0.1  # smallest area that may be drawn: degrees taken for metres enclose less
@@ -49,7 +48,7 @@ def find_drivable_area(hdmap: HDMap) -> MultiPolygon:
         MapError: the map has no lane for vehicles.
     """
     lanes = [outline_lanelet(x) for x in hdmap.lanelets if x.subtype not in NOT_DRIVABLE]
-    parks = [area.shape for area in hdmap.areas if area.subtype in DRIVABLE_AREAS]
+    parks = [area.shape for area in hdmap.areas if area.subtype == "parking"]
     if not lanes:
         subtypes = sorted({lanelet.subtype for lanelet in hdmap.lanelets})
         raise MapError(f"the map has no lane for vehicles, only {', '.join(subtypes)}")
@@ -63,9 +62,9 @@ def sample_lane_directions(
 ) -> tuple[Float[Array, "m 2"], Float[Array, "m"], Float[Array, "m"]]:
     """Sample the directions of one-way lanes for vehicles.
 
-    Returns:
-        (m, 2) points about `LANE_SPACING_M` apart along the middles of lanes (m), (m,) directions
-        there (rad), and (m,) the radius around each point (m) that covers its piece of the lane.
+    Returns (m, 2) points about `LANE_SPACING_M` apart along the middles of lanes (m), (m,)
+    directions there (rad), and (m,) the radius around each point (m) that covers its piece of the
+    lane.
     """
     points, directions, reaches = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
     for lanelet in hdmap.lanelets:
@@ -86,10 +85,9 @@ def read_drivable_area(
 ) -> MultiPolygon:
     """Read polygons drawn by hand as one area, in metres of the world.
 
-    Args:
-        path: GeoJSON (see `read_features`); or an object: a geometry of shapely, in metres of the
-            world, or a GeoDataFrame, in its own CRS (without one in metres of the world).
-        world: the plane of the area.
+    `path`: GeoJSON (see `read_features`); or an object: a geometry of shapely, in metres of the
+    world, or a GeoDataFrame, in its own CRS (without one in metres of the world); `world`: the
+    plane of the area.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -146,9 +144,8 @@ def compute_signed_distance(
     Distances are measured to the nearest cell of a mask `SUPERSAMPLING` times as fine, less half
     such a cell. For more than `MAX_CELLS`, cells are made coarser, with a warning.
 
-    Returns:
-        (H, W) metres at the centres of cells, positive outside the area and negative inside; and
-        the north-up grid, which reaches `MARGIN_M` beyond the area.
+    Returns metres at the centres of cells, positive outside the area and negative inside; and the
+    north-up grid, which reaches `MARGIN_M` beyond the area.
 
     Raises:
         MapError: the area is empty, or too narrow for a cell of the mask.

@@ -19,7 +19,6 @@ from geoaim.hdmap.lanelet2 import HDMap, Lanelet
 Colour = tuple[int, int, int]
 GROUND: Colour = (40, 42, 46)
 ROAD: Colour = (98, 98, 104)
-ARROW: Colour = (120, 190, 255)
 SURFACES: dict[str, Colour] = {
     "walkway": (150, 140, 124),
     "shared_walkway": (150, 140, 124),
@@ -114,7 +113,7 @@ def _list_shapes(hdmap: HDMap) -> Iterator[tuple[BaseGeometry, Colour]]:
                 yield LineString(line.points).buffer(width / 2, cap_style="flat"), colour
     for lanelet in lanes:
         if lanelet.one_way:
-            yield from ((arrow, ARROW) for arrow in _make_arrows(lanelet))
+            yield from ((arrow, (120, 190, 255)) for arrow in _make_arrows(lanelet))
 
 
 def _make_arrows(lanelet: Lanelet) -> Iterator[Polygon]:

@@ -28,7 +28,6 @@ from geoaim.tracks.tracks import Tracks
 LANES = {"bicycle_lane": "LANE_BIKE_LANE", "bikelane": "LANE_BIKE_LANE"}
 AREAS = {"crosswalk": "CROSSWALK", "walkway": "ROAD_EDGE_SIDEWALK"}
 EDGES = ("curbstone", "road_border", "guard_rail")
-MARKINGS = ("line_thin", "line_thick")
 MAX_JOINT_M = 0.5  # largest distance between the end of a lane and the beginning of the next
 
 
@@ -60,7 +59,7 @@ def make_map_features(hdmap: HDMap, world: World) -> dict[str, dict[str, Any]]:
         features[key] |= {"entry_lanes": entries, "exit_lanes": exits}
     for number, line in enumerate(hdmap.lines):
         kind = "ROAD_EDGE_BOUNDARY" if line.kind in EDGES else None
-        if line.kind in MARKINGS:
+        if line.kind in ("line_thin", "line_thick"):
             style = "BROKEN" if line.subtype == "dashed" else "SOLID"
             kind = f"ROAD_LINE_{style}_SINGLE_WHITE"
         if kind is not None and len(line.points) > 1:

@@ -16,7 +16,6 @@ from geoaim.mapping.georeference.uncertainty import (
 )
 from geoaim.mapping.registration.register import Registration, count_reasons
 
-MAX_PATH_POINTS = 1000  # points of the camera's drift that are stored
 UNDETECTED = (  # what no method knows from the frames alone
     "what stands in every frame is shown as ground and is not contested; boxes, a longer clip, "
     "another flight or imagery would tell"
@@ -29,7 +28,7 @@ def report_registration(registration: Registration) -> dict[str, Any]:
     middle = np.array([[reference.width / 2, reference.height / 2]])
     path = transform_points(registration.reference_from_frame[valid], middle)[:, 0]
     path = np.column_stack([registration.time[valid], path])
-    thinned = path[:: len(path) // MAX_PATH_POINTS + 1]
+    thinned = path[:: len(path) // 1000 + 1]  # 1000 points at most
     return {
         "model": reference.model,
         "predicted_error_px": dict(reference.choice.predicted_error) if reference.choice else {},

@@ -13,7 +13,6 @@ from geoaim.tracks.agent_types import AGENT_GROUPS, OTHER, find_group, get_colou
 from geoaim.tracks.lights import STATES
 
 EGO_COLOUR = (1.0, 0.35, 0.0)
-HEADING_COLOUR = (1.0, 1.0, 1.0)
 
 
 def make_agent_boxes(
@@ -32,7 +31,7 @@ def make_agent_boxes(
     colours = get_agent_colours(scene).repeat(len(steps), 1, 1)
     if ego is not None:
         colours[torch.arange(len(steps)), ego] = colours.new_tensor(EGO_COLOUR)
-    heading_colours = colours.new_tensor(HEADING_COLOUR).expand_as(colours)
+    heading_colours = torch.ones_like(colours)
     poses, present = _get_poses(scene, steps)
     return OrientedBoxes(poses, scene.sizes, colours, present, heading_colours)
 

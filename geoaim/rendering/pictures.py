@@ -31,15 +31,9 @@ def render_agent_video(
 ) -> Iterator[UInt8[Array, "H W 3"]]:
     """Render the view of an agent, heading up: the map, lights and all agents.
 
-    Args:
-        scene: the scene, with its map and lights.
-        agent: row of the agent in the centre.
-        view: size and resolution of the pictures.
-        steps: (S,) index of each step to render, at which the agent is present.
-        trail: duration of the agents' trails, seconds; 0: none.
-
-    Yields:
-        (H, W, 3) an RGB picture of each step.
+    `agent`: row of the agent in the centre; `view`: size and resolution of the pictures; `steps`:
+    (S,) index of each step to render, at which the agent is present; `trail`: duration of the
+    agents' trails, seconds; 0: none. Yields an RGB picture of each step.
     """
     ground = prefilter_ground(scene.ground, view.resolution)
     for batch in torch.split(steps, BATCH_SIZE):
@@ -52,33 +46,23 @@ def render_agent_video(
         yield from convert_to_uint8(pictures)
 
 
-def render_map_video(
-    scene: Scene, aim: AIM, *, height: int = FILM_HEIGHT_PX, trail: float = FILM_TRAIL_S
-) -> Iterator[UInt8[Array, "H W 3"]]:
-    """Render the whole map with all agents at each step, turned as its image is.
+def render_map_video(scene: Scene, aim: AIM) -> Iterator[UInt8[Array, "H W 3"]]:
+    """Render the whole map, turned as its image is, with all agents and their trails at each step.
 
-    Args:
-        scene: the scene, of this map.
-        aim: the map.
-        height: the smaller side of the pictures, pixels.
-        trail: duration of the agents' trails, seconds; 0: none.
-
-    Yields:
-        (H, W, 3) an RGB picture of each step, with even sides.
+    Yields RGB pictures with even sides, the smaller one of `FILM_HEIGHT_PX`.
     """
     (left, top), right, _, bottom = aim.corners
     across, down = right - (left, top), (left, top) - bottom
     extent = np.hypot(*across), np.hypot(*down)
-    resolution = float(min(extent)) / height
+    resolution = float(min(extent)) / FILM_HEIGHT_PX
     sides = [2 * max(1, round(side / resolution / 2)) for side in extent]
     view = View(sides[1], sides[0], resolution)
     middle = aim.corners.mean(axis=0)
     camera = torch.tensor([*middle, np.arctan2(down[1], down[0])], dtype=scene.poses.dtype)
     ground = prefilter_ground(scene.ground, resolution)
     for steps in torch.split(torch.arange(len(scene.times)), BATCH_SIZE):
-        layers = [make_light_boxes(scene, steps), make_agent_boxes(scene, steps)]
-        if trail > 0:
-            layers.insert(1, make_trail_boxes(scene, steps, duration=trail))
+        trails = make_trail_boxes(scene, steps, duration=FILM_TRAIL_S)
+        layers = [make_light_boxes(scene, steps), trails, make_agent_boxes(scene, steps)]
         with torch.no_grad():
             pictures = render(view, camera.expand(len(steps), 3), ground, layers)
         yield from convert_to_uint8(pictures)
@@ -95,10 +79,8 @@ def write_pictures(
 ) -> None:
     """Write a video, an animation, or a single picture.
 
-    Args:
-        pictures: (H, W, 3) RGB each; with even sides for .mp4.
-        path: .mp4, .gif or .png, which holds the first picture.
-        frame_rate: pictures per second; without effect on a .png.
+    `pictures`: RGB each; with even sides for .mp4; `path`: .mp4, .gif or .png, which holds the
+    first picture; `frame_rate`: pictures per second; without effect on a .png.
 
     Raises:
         ValueError: the path has another suffix, or there are no pictures.

@@ -4,11 +4,9 @@
     renderer = ImageMapRenderer(scene.ground, batch_size=1)
     simulator = torchdrivesim.simulator.Simulator(..., renderer=renderer)
 
-Tested with torchdrivesim 0.2.3, which has to be installed beside geoaim, and with a double of the
-interface of its main branch of February 2026, whose renderers are given one mesh of everything.
+Tested with torchdrivesim 0.2.3, which has to be installed beside geoaim.
 """
 
-import inspect
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -23,55 +21,9 @@ from geoaim.rendering.birdview import render
 from geoaim.rendering.boxes import OrientedBoxes
 from geoaim.rendering.ground import Ground, View
 from geoaim.rendering.prefiltering import prefilter_ground
-from geoaim.rendering.triangles import paint_triangles
 
 
-class MeshRenderer(BirdviewRenderer):  # type: ignore[misc]
-    """A torchdrivesim renderer that paints meshes over an image map.
-
-    The simulator's background mesh is painted too: give it one without the road, which the image
-    shows. Pictures are differentiable with respect to cameras, vertices and colours.
-    """
-
-    def __init__(self, ground: Ground, cfg: RendererConfig | None = None, **base: Any) -> None:
-        for name in ("batch_size", "device", "static_mesh", "world_center"):
-            base.pop(name, None)
-        super().__init__(cfg or RendererConfig(), **base)
-        self.ground = ground
-        self.prefiltered: dict[float, Ground] = {}  # keys: the resolutions
-
-    def copy(self) -> "MeshRenderer":
-        """Copy the renderer; the map is shared."""
-        return MeshRenderer(
-            self.ground,
-            self.cfg,
-            color_map=dict(self.color_map),
-            rendering_levels=dict(self.rendering_levels),
-            res=self.res,
-            fov=2.0 / self.scale,
-        )
-
-    def render_rgb_mesh(self, mesh: Any, res: Resolution, cameras: Any) -> Float[Tensor, "V H W 3"]:
-        """Paint a mesh over the map."""
-        view = View(res.height, res.width, 2.0 / cameras.scale / min(res.height, res.width))
-        if view.resolution not in self.prefiltered or self.ground.image.requires_grad:
-            self.prefiltered = {view.resolution: prefilter_ground(self.ground, view.resolution)}
-        heading = torch.atan2(cameras.sc[..., 0], cameras.sc[..., 1])
-        poses = torch.cat([cameras.xy, heading[..., None]], dim=-1)
-        pictures = render(view, poses, self.prefiltered[view.resolution])
-        scene = torch.arange(len(mesh.faces), device=mesh.faces.device)[:, None]
-        verts, attrs = mesh.verts[scene, mesh.faces[..., 0]], mesh.attrs[scene, mesh.faces[..., 0]]
-        corners = mesh.verts[scene[..., None], mesh.faces][..., :2]  # (V, F, 3, 2)
-        if mesh.faces.shape[1]:
-            pictures = paint_triangles(view, poses, pictures, corners, attrs, verts[..., 2])
-        pictures = pictures.flip(-1) if self.cfg.left_handed_coordinates else pictures
-        return 255 * pictures.permute(0, 2, 3, 1)
-
-
-WAYPOINT_SIDE_M = 2.0 * math.sqrt(math.pi)  # side of a square as large as torchdrivesim's disc
-
-
-class FrameRenderer(BirdviewRenderer):  # type: ignore[misc]
+class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
     """Renders an image map for torchdrivesim, differentiable by poses and cameras."""
 
     def __init__(self, ground: Ground, cfg: RendererConfig | None = None, **base: Any) -> None:
@@ -129,22 +81,22 @@ class FrameRenderer(BirdviewRenderer):  # type: ignore[misc]
         """Raise ValueError: the map is an image and has no meshes."""
         raise ValueError("an image map draws no meshes; paint them into its image")
 
-    def to(self, device: torch.device) -> "FrameRenderer":
+    def to(self, device: torch.device) -> "ImageMapRenderer":
         """Move the renderer to another device in place."""
         super().to(device)
         self.ground, self.prefiltered = self.ground.to(device), {}
         return self
 
-    def expand(self, n: int) -> "FrameRenderer":
+    def expand(self, n: int) -> "ImageMapRenderer":
         """Make a renderer that repeats each batch element `n` times."""
         return self._copy(self.world_center.repeat_interleave(n, dim=0))
 
-    def select_batch_elements(self, idx: Tensor) -> "FrameRenderer":
+    def select_batch_elements(self, idx: Tensor) -> "ImageMapRenderer":
         """Make a renderer of some elements of the batch."""
         return self._copy(self.world_center[idx])
 
-    def _copy(self, centres: Tensor) -> "FrameRenderer":
-        return FrameRenderer(
+    def _copy(self, centres: Tensor) -> "ImageMapRenderer":
+        return ImageMapRenderer(
             self.ground,
             self.cfg,
             batch_size=len(centres),
@@ -213,7 +165,8 @@ class FrameRenderer(BirdviewRenderer):  # type: ignore[misc]
         poses = torch.cat([points, torch.zeros_like(points[..., :1])], dim=-1)
         count = points.shape[1]
         present = None if mask is None else mask.flatten(0, 1).bool()
-        sizes = points.new_full((count, 2), WAYPOINT_SIDE_M)
+        # a square as large as torchdrivesim's disc
+        sizes = points.new_full((count, 2), 2.0 * math.sqrt(math.pi))
         colours = self._get_colours(["goal_waypoint"]).expand(count, 3)
         return OrientedBoxes(poses, sizes, colours, present)
 
@@ -228,12 +181,3 @@ def _make_cameras(xy: Tensor | None, sine_cosine: Tensor | None) -> Float[Tensor
         raise ValueError("camera_xy and camera_sc go together; one of them is None")
     heading = torch.atan2(sine_cosine[..., 0], sine_cosine[..., 1])
     return torch.cat([xy, heading[..., None]], dim=-1)
-
-
-def _takes_meshes() -> bool:
-    """Whether the installed torchdrivesim gives its renderers a mesh of everything."""
-    return "rgb_mesh" in inspect.signature(BirdviewRenderer.render_frame).parameters
-
-
-# the renderer of an image map for the installed version
-ImageMapRenderer = MeshRenderer if _takes_meshes() else FrameRenderer

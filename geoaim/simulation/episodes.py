@@ -23,7 +23,6 @@ SIMPLE_POLICIES: Mapping[str, simulator.Policy] = {
     "constant-turn-rate": constant_turn_rate,
 }
 POLICY_NAMES = ("idm", *SIMPLE_POLICIES, "replay")
-DEFAULT_DURATION_S = 6.0
 HISTORY_STEPS = 5  # all agents replay their recordings in the first steps
 # vehicles whose speed is ever below this replay the recording: no policy drives backwards
 REVERSING_SPEED_MPS = -0.1
@@ -100,7 +99,7 @@ def _find_steps(scene: Scene, start: float | None, duration: float | None) -> tu
     start = begin if start is None else start
     first = find_step(scene, start)
     if duration is None:
-        duration = min(DEFAULT_DURATION_S, end - float(scene.times[first]))
+        duration = min(6.0, end - float(scene.times[first]))
     if not start + duration < end + scene.dt:
         raise ValueError(
             f"the tracks go from {begin:g} to {end:g} s, and {duration:g} seconds from {start:g} s "
@@ -144,11 +143,8 @@ def select_movable(
 ) -> Bool[Tensor, "A"]:
     """Mark the agents that never reverse and are present in two steps after the first ones.
 
-    Args:
-        scene: the recording.
-        first: index of the first step.
-        steps: number of steps, of which `HISTORY_STEPS` are replayed.
-        group: a group of agent types; None: all agents.
+    `first`: index of the first step; `steps`: number of steps, of which `HISTORY_STEPS` are
+    replayed; `group`: a group of agent types; None: all agents.
     """
     present = scene.present[:, first + HISTORY_STEPS - 1 : first + steps]
     reverses = (scene.speeds[:, first:] <= REVERSING_SPEED_MPS).any(dim=1)

@@ -183,8 +183,7 @@ def make_lanes(hdmap: HDMap) -> Lanes:
 def check_rules(scene: Scene, rules: RoadRules) -> RoadRules:
     """Check that road rules are for the place of the scene's map.
 
-    Returns:
-        The rules in the scene's world.
+    Returns the rules in the scene's world.
 
     Raises:
         TracksError: no lane, or no part of the drivable area, lies on the map.

@@ -17,7 +17,7 @@ from geoaim.hdmap.drivable import sample_lane_directions
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.mapping.video.detections import DetectedBoxes, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
-from geoaim.mapping.video.video import Video, VideoSource, open_video
+from geoaim.mapping.video.video import Video, VideoSource, open_video, warn_of_pace
 from geoaim.tracking.association import MIN_HITS, MIN_START_SCORE, Tracklets, associate
 from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_boxes
 from geoaim.tracking.find_vehicles import keep_certain, measure_certainty, search_frames
@@ -100,6 +100,7 @@ def follow_video(
     progress: Progress,
 ) -> FollowedVideo:
     """Track the agents of a video as `track_video` does, and keep where its frames lie."""
+    warn_of_pace(opened)
     if detections is None:
         poses = locate_frames(opened, aim, None, progress)
         known = search_frames(opened, aim, poses, progress)

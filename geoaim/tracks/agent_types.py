@@ -23,7 +23,6 @@ TYPE_COLOURS: Mapping[str, tuple[float, float, float]] = {
     "pedestrian": (1.0, 0.1, 0.6),
     "cyclist": (0.0, 0.85, 0.85),
 }
-OTHER_COLOUR = (0.55, 0.2, 0.75)
 # length and width in metres of agents whose size a file does not give
 TYPICAL_SIZES: Mapping[str, tuple[float, float]] = {
     "car": (4.5, 1.8),
@@ -60,7 +59,7 @@ def find_group(agent_type: str) -> str:
 
 def get_colour(agent_type: str) -> tuple[float, float, float]:
     """Get the colour in which agents of a type are drawn: red, green and blue, 0 to 1."""
-    return TYPE_COLOURS.get(agent_type, OTHER_COLOUR)
+    return TYPE_COLOURS.get(agent_type, (0.55, 0.2, 0.75))
 
 
 def select_group(agent_types: Sequence[str], group: str) -> Bool[Array, "N"]:

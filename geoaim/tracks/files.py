@@ -85,7 +85,6 @@ METADATA_KEY = b"geoaim_world"
 GEOMETRY = "geometry"  # column of points in Parquet, which other programs show on a map
 CSV = FileFormat("tracks", 1, 1, first_checked=2, error=TracksError)
 PARQUET = FileFormat("tracks", 1, 2, first_checked=2, error=TracksError)
-MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
 
 
 def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
@@ -184,7 +183,11 @@ def read_table(
                     file,
                     dtype=dict.fromkeys(texts, str),
                     keep_default_na=False,
-                    na_values={name: MISSING_VALUES for name in top.columns if name not in texts},
+                    na_values={
+                        name: ["", "nan", "NaN", "NA", "null"]
+                        for name in top.columns
+                        if name not in texts
+                    },
                     low_memory=False,
                     **options,
                 )
@@ -359,9 +362,7 @@ def write_dated_tracks(
     An agent's id is RECORDING/ID; `time` counts from the start of the first recording. Observed
     states and uncertainties are left out, since not all recordings may have them.
 
-    Args:
-        recordings: tracks and the date and time at which their `time` is 0, by name.
-        path: the .parquet file.
+    `recordings`: tracks and the date and time at which their `time` is 0, by name.
     """
     begin = min(start for _, start in recordings.values())
 

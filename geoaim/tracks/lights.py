@@ -39,7 +39,6 @@ STOP_LINE_COLOUR = "#d00000"
 COLUMNS = ["time", "signal", "state"]
 MIN_STOP_LINE_M = 0.1  # degrees mistaken for metres are shorter
 SIND_TIME = "timestamp(ms)"
-SIND_LIGHT = "traffic light"
 KIT_COLUMNS = ["timestamp_ms", "signal_group_id", "movement_state"]
 KIT_STATES = {
     "STOP_AND_REMAIN": "red",
@@ -231,7 +230,7 @@ def _read_rows(path: Path) -> pd.DataFrame:
                 )
     except (ValueError, pd.errors.ParserWarning, IsADirectoryError) as error:
         raise TracksError(f"{path} is not a table of traffic lights: {error}") from error
-    lights = [name for name in rows.columns if SIND_LIGHT in name.lower()]
+    lights = [name for name in rows.columns if "traffic light" in name.lower()]
     if SIND_TIME in rows.columns and lights:
         rows["time"] = pd.to_numeric(rows[SIND_TIME], errors="coerce") / 1000
         rows = rows.melt("time", lights, "signal", "state").dropna(subset="state")

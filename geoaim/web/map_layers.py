@@ -27,7 +27,6 @@ LINE_COLOURS = {  # keys: lanelet2's kinds of line
     "zebra_marking": "#f5f5f5",
     "virtual": "#8888aa",
 }
-MARKING_COLOUR = "#ffffff"
 Description = dict[str, Any]
 
 
@@ -101,7 +100,7 @@ def describe_lines(hdmap: HDMap) -> list[Description]:
         kinds.setdefault(line.kind, []).append(_round(line.points))
     shapes = []
     for kind, lines in sorted(kinds.items()):
-        colour = LINE_COLOURS.get(kind, MARKING_COLOUR)
+        colour = LINE_COLOURS.get(kind, "#ffffff")
         dash = [4, 4] if kind == "virtual" else None
         name = kind.replace("_", " ") or "line"
         shown = {"name": name, "lines": lines, "colour": colour, "dash": dash, "visible": True}

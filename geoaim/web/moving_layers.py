@@ -32,7 +32,6 @@ from geoaim.web.tiles import encode_picture
 
 SPEED_COLOURS = [to_hex(colour) for colour in matplotlib.colormaps["plasma"](np.linspace(0, 1, 9))]
 SPEED_STEP_KMH = 10  # the scale of speeds ends at a multiple of it
-SHOWN_INFRACTIONS = ("collision", "off road", "red light")
 STEPS_AT_ONCE = 500  # steps that are searched for infractions at once
 Description = dict[str, Any]
 
@@ -146,7 +145,7 @@ def list_infractions(scene: Scene, rules: RoadRules) -> list[dict[str, Any]]:
 
     Of estimated agents no collision is listed: their boxes overlap by errors of their sizes.
     """
-    kinds = [kind for kind in SHOWN_INFRACTIONS if not (scene.smoothed and kind == "collision")]
+    kinds = ["off road", "red light"] if scene.smoothed else ["collision", "off road", "red light"]
     everyone = torch.ones(len(scene.ids), dtype=torch.bool)
     marks = []
     last = {kind: torch.zeros_like(everyone)[:, None] for kind in kinds}

@@ -49,14 +49,14 @@ HEADERS = {
 class ViewServer:
     """Serves a view at an address with a token; `with` starts it in a thread and closes it."""
 
-    def __init__(self, view: MapView, port: int = 0) -> None:
-        """Bind to this machine's own address; port 0 chooses a free one."""
+    def __init__(self, view: MapView) -> None:
+        """Bind to a free port of this machine's own address."""
         self.view = view
         self.token = secrets.token_urlsafe(16)
         self.open_pages = 0
         self.last_seen = float("inf")  # no page was open yet
         self.workers = ThreadPoolExecutor(ANSWERS_AT_ONCE)
-        self._sockets = bind_sockets(port, HOST)
+        self._sockets = bind_sockets(0, HOST)
         self.server_address: tuple[str, int] = self._sockets[0].getsockname()
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, daemon=True)

@@ -83,13 +83,7 @@ def make_path_tables(
 ) -> PathTables:
     """Arrange the properties of paths in tables.
 
-    Args:
-        paths: paths of vehicles.
-        conflicts: conflicts between them.
-        signals: the signals that control them.
-
-    Returns:
-        The tables.
+    `signals`: the signals that control them.
     """
     longest = max(len(path.line) for path in paths)
     entries = sorted({path.entry for path in paths} - {""})

@@ -12,7 +12,6 @@ from geoaim.mapping.video.frames import Frame
 
 GRID_POINTS = 120  # points along the longer side at which exposure is compared
 MIN_POINTS = 50  # exposure is not compared at fewer points
-MIN_GAIN_CHANGE = 0.002  # less changes no pixel by half a grey level
 RATIO_BINS = 350  # number of bins, 2 % each, centred on a ratio of 1
 MODE_HALF_WIDTH = 0.05  # half the width of the mode, as a logarithm of the ratio
 
@@ -66,7 +65,7 @@ def apply_gain(
     pixels: UInt8[Array, "H W *c"], gain: float, neutral: float
 ) -> UInt8[Array, "H W *c"]:
     """Multiply the pixels' distance from a neutral value."""
-    if abs(gain - 1) < MIN_GAIN_CHANGE:
+    if 255 * abs(gain - 1) < 0.5:  # changes no pixel
         return pixels
     return np.asarray(cv2.addWeighted(pixels, gain, pixels, 0.0, neutral * (1 - gain)), np.uint8)
 

@@ -7,8 +7,6 @@ from numpy import ndarray as Array
 
 from geoaim.base.geometry import image_corners, to_opencv, transform_points
 
-FRAME_INSET_PX = 0.5  # a frame covers the area between the centres of its outermost pixels
-
 
 def warp(
     pixels: UInt8[Array, "H W *c"], matrix: Float[Array, "3 3"], size: tuple[int, int]
@@ -60,9 +58,8 @@ def sharpen_mean(
 def draw_footprint(
     frame_size: tuple[int, ...], image_from_frame: Float[Array, "3 3"], size: tuple[int, int]
 ) -> UInt8[Array, "h w"]:
-    """Draw where a frame shows the image."""
-    height, width = frame_size[0] - 2 * FRAME_INSET_PX, frame_size[1] - 2 * FRAME_INSET_PX
-    corners = image_corners(height, width) + FRAME_INSET_PX
+    """Draw where a frame shows the image: between the centres of its outermost pixels."""
+    corners = image_corners(frame_size[0] - 1, frame_size[1] - 1) + 0.5
     polygon = transform_points(image_from_frame, corners)
     return draw_polygons(polygon[None], size)
 

@@ -43,6 +43,7 @@ class ControlPoints:
     # inverse covariances of the points up to one factor, east and north; None: all count alike
     information: Float[Array, "m 2 2"] | None = None
     redundancy: float = 1.0  # points that tell as much as one, since their errors are alike
+    common_error: float = 0.0  # one sigma by which all points err together, metres
 
 
 # What `read_control_points` reads: a file, points of Python, or `dataset.gcps` of rasterio.

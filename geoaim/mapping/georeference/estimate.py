@@ -101,7 +101,9 @@ def estimate_georeference(
         point_checks.check_layout(inliers, targets[used], size, outside=outside)
     fitted = select_pairs(pairs, used)
     posterior, candidates = _fit_models(inliers.names, fitted, sigma, size, similarity)
-    posterior = replace(posterior, covariance=posterior.covariance * points.redundancy)
+    covariance = posterior.covariance * points.redundancy
+    covariance[[0, 1], [0, 1]] += (points.common_error / metres) ** 2  # of the shift
+    posterior = replace(posterior, covariance=covariance)
     best = choose_model(candidates)
     residuals = apply_terms(best.terms, plane) - pairs.ground
     leave_one_out = np.linalg.norm(residuals, axis=1)
@@ -239,14 +241,9 @@ def estimate_preliminary(
     No point is tested for mistakes. Tilt, stretch and lens enter the uncertainty at their expected
     size (`posterior`), and the noise is that of picking points.
 
-    Args:
-        points: two points or more on one image.
-        height: height of the image, pixels.
-        width: width of the image, pixels.
-        world: the target plane; None: see `estimate_georeference`.
-
-    Returns:
-        The georeference, marked approximate; leave-one-out errors are NaN.
+    `points`: two points or more on one image; `height`: height of the image, pixels; `width`: width
+    of the image, pixels; `world`: the target plane; None: see `estimate_georeference`. Returns the
+    georeference, marked approximate; leave-one-out errors are NaN.
 
     Raises:
         GeoreferenceError: there are fewer than two points, or two have the same pixel or place.

@@ -19,16 +19,13 @@ from geoaim.base.world import LONLAT, transform_crs
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.point_files import ODM_PIXEL_SHIFT, SHARED_COVARIANCE
 
-QGIS_HEADER = "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
-
 
 def write_control_points(points: ControlPoints, path: str | Path) -> None:
     """Write control points to a file, whole or not at all; the format follows from its name.
 
-    Args:
-        points: the points; NaN where a pixel or a place is not picked yet, which .csv alone keeps.
-        path: `.csv` with the columns name, u, v, and lon, lat or x, y; `.txt` is OpenDroneMap's
-            list (`gcp_list.txt`), `.points` that of QGIS.
+    `points`: the points; NaN where a pixel or a place is not picked yet, which .csv alone keeps;
+    `path`: `.csv` with the columns name, u, v, and lon, lat or x, y; `.txt` is OpenDroneMap's list
+    (`gcp_list.txt`), `.points` that of QGIS.
 
     Raises:
         GeoreferenceError: the format cannot state the points' CRS, or no point is complete.
@@ -97,7 +94,8 @@ def _format_odm(points: ControlPoints) -> str:
 def _format_qgis(points: ControlPoints) -> str:
     points = _select_complete(points)
     rows = np.hstack([points.coordinates, points.pixels * [1.0, -1.0]]).tolist()
-    lines = [f"#CRS: {_format_crs(points.crs)}", QGIS_HEADER]
+    header = "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
+    lines = [f"#CRS: {_format_crs(points.crs)}", header]
     lines += [",".join(map(repr, row)) + ",1,0,0,0" for row in rows]
     return "\n".join(lines) + "\n"
 

@@ -1,7 +1,6 @@
-"""Read rows of control points from CSV, Excel workbooks, OpenDroneMap and QGIS files."""
+"""Read rows of control points from CSV, OpenDroneMap and QGIS files."""
 
 import csv
-import io
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -9,8 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
-from zipfile import ZipFile
 
 import numpy as np
 from jaxtyping import Float
@@ -44,10 +41,7 @@ ODM_PIXEL_SHIFT = 0.5  # px from OpenDroneMap's origin, the first pixel's centre
 
 MAX_NUMBER = 1e12  # no pixel and no coordinate in metres, feet or degrees is as far away
 SHARED_COVARIANCE = "shared covariance"  # comment of a file: three numbers, square metres
-SHEET_TAG = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
 MAX_ROWS = 10_000  # a georeference of as many takes seconds
-MAX_WORKBOOK_BYTES = 20_000_000  # unpacked
-DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 Lines = list[tuple[int, str]]  # lines and their numbers in the file
 
 
@@ -82,11 +76,11 @@ def read_point_file(path: Path) -> list[PointRow]:
 
 def _parse_points(content: bytes, path: Path) -> list[PointRow]:
     """Parse a file of control points in any of the formats."""
-    is_workbook = content.startswith(b"PK")
-    lines = (_read_workbook(content) if is_workbook else decode_text(content)).splitlines()
+    if content.startswith(b"PK"):
+        raise GeoreferenceError(f"{path}: is an Excel workbook; save the sheet as CSV.")
     numbered = [
         (number, trim_comment(line) if re.match(COMMENT, line) else line.strip(" "))
-        for number, line in enumerate(lines, 1)
+        for number, line in enumerate(decode_text(content).splitlines(), 1)
         if line.strip(' \t,;"') and not re.match(r'\s*"?sep=', line, re.I)
     ]
     rows_of_points = [(number, line) for number, line in numbered if not line.startswith("#")]
@@ -111,32 +105,6 @@ def _parse_points(content: bytes, path: Path) -> list[PointRow]:
     return [
         replace(row, accuracy=max(row.accuracy, accuracy), shared_covariance=shared) for row in rows
     ]
-
-
-def _read_workbook(content: bytes) -> str:
-    """The first sheet of an Excel workbook as a CSV file whose commas are decimal."""
-    file = io.StringIO()
-    writer = csv.writer(file, delimiter=";", lineterminator="\n")
-    with ZipFile(io.BytesIO(content)) as book:
-        names = {info.filename: info for info in book.infolist()}
-        sheets = sorted(name for name in names if name.startswith("xl/worksheets/sheet"))
-        parts = [name for name in ("xl/sharedStrings.xml", *sheets[:1]) if name in names]
-        if not sheets or sum(names[name].file_size for name in parts) > MAX_WORKBOOK_BYTES:
-            raise ValueError("it is no workbook of control points; save the sheet as CSV")
-        trees = [ElementTree.fromstring(book.read(name)) for name in parts]
-    texts = ["".join(item.itertext()) for item in trees[0].iter(f"{SHEET_TAG}si")]
-    for row in trees[-1].iter(f"{SHEET_TAG}row"):
-        cells = [""] * 26  # A to Z; others are not read
-        for number, cell in enumerate(row.iter(f"{SHEET_TAG}c")):
-            letters = cell.get("r", "").rstrip("0123456789") or chr(ord("A") + number)
-            if len(letters) > 1 or letters > "Z":
-                continue
-            nodes = [node for node in cell if node.tag != f"{SHEET_TAG}f"]  # not the formula
-            value = " ".join("".join(word for node in nodes for word in node.itertext()).split())
-            is_shared = cell.get("t") == "s"
-            cells[ord(letters) - ord("A")] = texts[int(value)] if is_shared else value
-        writer.writerow(cells)
-    return file.getvalue()
 
 
 def _find_comment(numbered: Lines, key: str) -> tuple[int, str | None]:
@@ -185,9 +153,15 @@ def _read_odm(content: Lines, crs: str, path: Path) -> list[PointRow]:
     for number, line in content[1:]:
         words, source = line.split(), f"{path}, line {number}"
         if len(words) < 6:
+            commas = line.count(",") >= 5
             raise GeoreferenceError(
                 f"{source}: {line!r} has {len(words)} fields; an OpenDroneMap line needs x, y, z,"
-                " pixel x, pixel y and the image. Pick the point in an image first."
+                " pixel x, pixel y and the image"
+                + (
+                    ", between spaces or tabs, not commas."
+                    if commas
+                    else ". Pick the point in an image first."
+                )
             )
         x, y, u, v = (_parse_number(words[i], source) for i in (0, 1, 3, 4))
         pixel = (u + ODM_PIXEL_SHIFT, v + ODM_PIXEL_SHIFT)
@@ -196,13 +170,15 @@ def _read_odm(content: Lines, crs: str, path: Path) -> list[PointRow]:
 
 
 def _read_qgis(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
+    # a column CRS, which QGIS 3.18 to 3.24 write, is quoted WKT with commas
     separator = "," if "," in content[0][1] else "\t"
     header = [name.strip().lower() for name in content[0][1].split(separator)]
     header = [name.replace("source", "pixel") for name in header]
     rows = []
     for number, line in content[1:]:
         source = f"{path}, line {number}"
-        fields = dict(zip(header, (f.strip() for f in line.split(separator)), strict=False))
+        words = next(csv.reader([line], delimiter=separator))
+        fields = dict(zip(header, (word.strip() for word in words), strict=False))
         if not set(QGIS_COLUMNS) <= set(fields):
             raise GeoreferenceError(f"{source}: {line!r} lacks one of the columns {header[:4]}.")
         if fields.get("enable", "1").lower() in ("0", "false"):
@@ -213,7 +189,7 @@ def _read_qgis(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
                 f"{source}: {line!r} has a positive image y; QGIS counts pixels downwards as"
                 " negative. Was the image georeferenced before? Pick on the plain image."
             )
-        rows.append(PointRow((u, -up), (x, y), source, crs))
+        rows.append(PointRow((u, -up), (x, y), source, fields.get("crs") or crs))
     return rows
 
 
@@ -240,7 +216,7 @@ def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
         values = {key: fields[at].strip() for key, at in columns.items() if at < len(fields)}
         if separator != ",":
             numbers = {key for key in ("u", "v", "x", "y", "accuracy") if key in values}
-            commas = {key for key in numbers if DECIMAL_COMMA.fullmatch(values[key])}
+            commas = {key for key in numbers if re.fullmatch(r"[-+]?\d+,\d+", values[key])}
             values |= {key: values[key].replace(",", ".") for key in commas}
         if values.get("enable", "1").lower() not in OFF:
             rows.append(make_row({**values, "crs": values.get("crs") or crs}, source))

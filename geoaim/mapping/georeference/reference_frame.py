@@ -243,8 +243,8 @@ def _georeference_by_telemetry(
     if telemetry is None:
         raise GeoreferenceError(
             f"{listed.source}: no control points were given and no telemetry can be read beside it "
-            "(a DJI .SRT of the same name, or GPS in the images' EXIF); give four or more "
-            f"control points ({name_option('--points', 'gcps=')}), or for a map in a local plane "
+            "(a DJI .SRT or flight log of the same name, or GPS in images' EXIF); give four or "
+            f"more control points ({name_option('--points', 'gcps=')}), or for a map in a local plane "
             "the metres "
             + name_option(
                 "per pixel of the frames (--frame-resolution, or --resolution of a single image)",
@@ -296,7 +296,7 @@ def _describe_missing(telemetry: Telemetry, missing: Sequence[str]) -> str:
     straight_down = " of a camera that looks straight down" if "pitch" in missing else ""
     why = f" ({'; '.join(reasons)})" if reasons else ""
     return (
-        f"its telemetry (.SRT, or EXIF and XMP) states {lacking}{why}. Give "
+        f"its telemetry (.SRT, flight log, or EXIF and XMP) states {lacking}{why}. Give "
         f"{' and '.join(given)}{straight_down}, or four or more control points "
         f"({name_option('--points', 'gcps=')})"
     )

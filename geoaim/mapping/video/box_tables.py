@@ -184,7 +184,6 @@ def find_stride(numbers: Float[Array, " n"]) -> float:
     return float(gaps[gaps <= 1.5 * least + 1e-9].mean())
 
 
-NUMBERED = re.compile(r"(.*?)(\d+)")
 MAX_LISTED = 3  # names that a message lists
 
 
@@ -192,7 +191,7 @@ def number_names(
     stems: Sequence[str], frames: FrameList | None, source: str | Path, first: int | None = None
 ) -> dict[str, int] | None:
     """Find the frames that files are named by: `000012`, or ultralytics' `hover_13`."""
-    parts = [NUMBERED.fullmatch(stem) for stem in stems]
+    parts = [re.fullmatch(r"(.*?)(\d+)", stem) for stem in stems]
     found = [part for part in parts if part is not None]
     if len(found) < len(parts) or len({part[1] for part in found}) != 1:
         return None

@@ -20,7 +20,6 @@ from geoaim.base.errors import VideoError, warn
 from geoaim.base.limits import MAX_RECORDING_S, check_regular
 from geoaim.mapping.video.frames import Frame
 
-DEFAULT_RATE = 25  # frames per second, where a file states none
 SKIPPING_FRAMES = 2.0  # frames of slack, from which frames that no other needs are not decoded
 MAX_FAILURES_AT_END = 64  # frames that a decoder holds at the end; some repeat errors for ever
 MIN_END_TOLERANCE_S = 0.25  # a file may last so much longer than its last frame
@@ -86,7 +85,7 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
         if first is None:
             raise VideoError(f"{path}: no frame can be decoded; it has none, or is damaged")
         _warn_of_shape(path, stream, first)
-        rate = float(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
+        rate = float(stream.average_rate or stream.guessed_rate or 25)
         count, count_is_exact = read_frame_count(container, stream, rate)
         stamped = first.pts is not None and container.format.name != "avi"  # AVI has none
         by_time = any(name in container.format.name for name in ("mov", "matroska", "mpegts"))
@@ -383,14 +382,14 @@ FORMATS = (
     "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,h264,hevc,av1,obu,ivf,"
     "flv,live_flv,asf,ogg,mjpeg,mxf,gif,dv,wtv,nut"
 )
-READ_OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
 
 
 def open_container(path: Path) -> Any:
     """Open a video file, as PyAV's container."""
     check_regular(path, VideoError)
     try:
-        return av.open(f"file:{path}", options=READ_OPTIONS, metadata_errors="replace")
+        options = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
+        return av.open(f"file:{path}", options=options, metadata_errors="replace")
     except av.FFmpegError as error:
         with path.open("rb") as opened:
             head = opened.read(8)

@@ -31,12 +31,10 @@ KNOWN_NAMES: Mapping[str, tuple[str, ...]] = {
     "width": ("width", "w", "bb_width", "bbox_width"),
     "height": ("height", "h", "bb_height", "bbox_height"),
 }
-UNCLEAR = ("x", "x_px", "y", "y_px")  # the middle of a box, or its corner
 NUMBERS = ("score", *BOX, "x", "y", "width", "height")
 CLOCKS = ("time", "frame", "name")
 MAX_TIME_S = 1e8  # a greater time is one of day, since 1970
 ANGLES = ("angle", "angle_deg", "angle_rad", "rotation", "theta")
-FROM_FIRST = "its times are taken to count from its first box"
 UNITS = {"ms": "ms", "milliseconds": "ms", "us": "µs", "ns": "ns"}  # by the end of a name
 EXAMPLE = "--columns frame=frame,id=track,x=u_px,y=v_px,class=label"
 
@@ -106,10 +104,13 @@ def name_columns(
         )
     if form == "point":
         numbers, form = np.column_stack([numbers, np.zeros_like(numbers)]), "xywh"
-    is_named = form != "xywh" or found["x"].lower() not in UNCLEAR or "x" in columns
+    # x may be the middle of a box, or its corner
+    is_named = form != "xywh" or found["x"].lower() not in ("x", "x_px") or "x" in columns
     is_dated = clock == "time" and not values["time"].equals(
         table[found["time"]].reset_index(drop=True)
     )
+    if is_dated:
+        remarks.append("its times are taken to count from its first box")
     rows: dict[str, Any] = {clock: values[clock]} if clock else {}
     rows["score"] = values.get("score", np.full(len(numbers), np.nan))
     for key in ("id", "class"):
@@ -124,7 +125,7 @@ def name_columns(
         usual_class=None,
         time_unit=unit,
         listed=tuple(dict.fromkeys(rows["name"])) if clock == "name" else (),
-        remarks=(*remarks, *([FROM_FIRST] if is_dated else [])),
+        remarks=tuple(remarks),
     )
 
 

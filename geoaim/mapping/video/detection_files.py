@@ -19,7 +19,6 @@ from geoaim.tracks.formats.geotrax import PIXEL_COLUMNS, VEHICLE_CLASSES
 
 FORMATS = ("YOLO", "MOT", "geo-trax", "COCO", "supervision", "table")
 YOLO_FIELDS = {5: 4, 6: 4, 7: 4, 9: 8, 10: 8, 11: 8}  # numbers of a box by fields of its row
-CLASS_NAMES = "classes.txt"  # a file with a class name in each line, beside the boxes
 
 
 def read_raw_boxes(source: Path | pd.DataFrame, columns: Mapping[str, str] | None) -> RawBoxes:
@@ -60,7 +59,7 @@ def _read_yolo(folder: Path) -> RawBoxes:
     for file in sorted(folder.glob("*.txt")):
         with refuse_damaged(file, GeoaimError, "a text file of boxes"):
             text = file.read_text("utf-8-sig")
-            if file.name == CLASS_NAMES:
+            if file.name == "classes.txt":  # a name in each line
                 names = [line.strip() for line in text.splitlines() if line.strip()]
             else:
                 listed.append(file.stem)

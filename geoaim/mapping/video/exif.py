@@ -14,8 +14,6 @@ SIGNS = {"latitude": {"N": 1, "S": -1}, "longitude": {"E": 1, "W": -1}}
 MAX_DIFFERENCE_DEGREES = 0.01  # between EXIF's position and that of XMP
 MAX_ASPECT_CHANGE = 0.01  # of a picture that was resized, not cut
 WGS84 = ("WGS84", "WGS1984")
-REVERSED = ("GimbalReverse", "CamReverse")  # not 0: mounted upside down
-DRONE_MAKERS = ("DJI", "HASSELBLAD")  # their focal lengths leave out the digital zoom
 
 
 def read_exif(paths: Sequence[str | Path], *, rate: float = 1.0) -> Telemetry | None:
@@ -85,7 +83,8 @@ def _read_heading(tags: Mapping[str, str], xmp: str, remarks: dict[str, str]) ->
     direction = _parse_numbers(tags.get("GPSImgDirection", ""))
     if direction and "M" not in tags.get("GPSImgDirectionRef", "T"):  # not magnetic north
         row.setdefault("yaw", direction[0])
-    turned = {name: value for name in REVERSED for value in _read_xmp(xmp, {name: name}).values()}
+    reverse = ("GimbalReverse", "CamReverse")  # not 0: mounted upside down
+    turned = {name: value for name in reverse for value in _read_xmp(xmp, {name: name}).values()}
     orientation = tags.get("Orientation", "1") or "1"
     problem = "".join(f"its {name} is {value:g}" for name, value in turned.items() if value)
     if orientation not in ("0", "1"):
@@ -107,7 +106,8 @@ def _read_focal_length(
     zoom = (_parse_numbers(tags.get("DigitalZoomRatio", "")) or [0.0])[0] or 1.0  # 0: not used
     if not length:
         return {}
-    if zoom != 1.0 and not tags.get("Make", "").upper().startswith(DRONE_MAKERS):
+    # focal lengths of these leave out the digital zoom
+    if zoom != 1.0 and not tags.get("Make", "").upper().startswith(("DJI", "HASSELBLAD")):
         remarks["focal_length"] = (
             f"its DigitalZoomRatio is {zoom:g}, which some cameras' FocalLengthIn35mmFilm has "
             "and others' has not"

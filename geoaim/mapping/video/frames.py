@@ -16,7 +16,6 @@ LUMA_FIRST = frozenset(
 # Weights of red and blue in luma by AVColorSpace (ITU-T H.273, table 4); anything else is BT.601,
 # as FFmpeg itself takes untagged video to be.
 LUMA_WEIGHTS = {1: (0.2126, 0.0722), 4: (0.30, 0.11), 7: (0.212, 0.087), 9: (0.2627, 0.0593)}
-BT601 = (0.299, 0.114)
 
 
 class YuvEncoding(NamedTuple):
@@ -78,7 +77,8 @@ class Frame:
             return None
         # 2 is AVCOL_RANGE_JPEG
         full = self.decoded.color_range == 2 or "yuvj" in self.decoded.format.name
-        return YuvEncoding(*LUMA_WEIGHTS.get(int(self.decoded.colorspace), BT601), full)
+        weights = LUMA_WEIGHTS.get(int(self.decoded.colorspace), (0.299, 0.114))  # BT.601
+        return YuvEncoding(*weights, full)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,10 @@
 """Telemetry in the .SRT subtitles of DJI drones; docs/formats/telemetry.md lists the dialects."""
 
+import math
 import re
 import warnings
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,7 @@ from geoaim.base.world import METRES_PER_DEGREE
 from geoaim.mapping.video.telemetry import Telemetry, make_telemetry
 
 TIME_LINE = re.compile(r"^[ \t]*(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})[ \t]*-->", re.MULTILINE)
+DATE = re.compile(r"\b(\d{4})[-.](\d\d?)[-.](\d\d?) (\d\d):(\d\d):(\d\d)\b")
 NUMBER = re.compile(r"[-+]?\d{1,9}(\.\d{1,15})?")
 VALUE = r"\s*:\s*([^\s\]]*)"
 PATTERNS = {
@@ -84,7 +88,20 @@ def parse_srt(text: str, path: str) -> Telemetry:
     times = [_parse_seconds(line) for line in lines]
     telemetry = make_telemetry(times, rows, path, remarks)
     _check_changes(telemetry, path)
-    return telemetry
+    return replace(telemetry, recorded=_measure_dates(text))
+
+
+def _measure_dates(text: str) -> float:
+    """Measure the seconds from the first to the last date, such as 2026-05-14 10:21:00.040."""
+    dates = DATE.findall(text)
+    try:
+        first, last = (
+            datetime(int(y), int(month), int(day), int(hour), int(minute), int(second))
+            for y, month, day, hour, minute, second in (dates[0], dates[-1])
+        )
+    except (IndexError, ValueError):
+        return math.nan
+    return (last - first).total_seconds()
 
 
 def _parse_seconds(line: re.Match[str]) -> float:

@@ -7,15 +7,11 @@ from geoaim.mapping.video.decoding import open_container
 from geoaim.mapping.video.srt import parse_srt
 from geoaim.mapping.video.telemetry import Telemetry
 
-STATES_PLACE = re.compile(r"\blatitude\b|\bGPS\s*\(")  # other subtitles are no telemetry
-
 
 def read_subtitles(path: Path, start: float) -> Telemetry | None:
     """Read telemetry from the first subtitles of a video that state places; None: there are none.
 
-    Args:
-        path: the video.
-        start: presentation time of the video's first frame, seconds.
+    `start`: presentation time of the video's first frame, seconds.
 
     Raises:
         GeoreferenceError: as of `read_srt`.
@@ -29,7 +25,7 @@ def read_subtitles(path: Path, start: float) -> Telemetry | None:
                     time = float(packet.pts * packet.time_base) - start
                     entries.append(_format_entry(len(entries) + 1, time, bytes(packet), is_mov))
             text = "".join(entries)
-            if STATES_PLACE.search(text):
+            if re.search(r"\blatitude\b|\bGPS\s*\(", text):  # others are no telemetry
                 return parse_srt(text, f"{path}, its subtitles")
             container.seek(0)
     return None

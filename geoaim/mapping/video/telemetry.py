@@ -1,8 +1,9 @@
 """Telemetry: the camera's position and attitude over time."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +24,7 @@ PLAUSIBLE = {
 }
 # Fields that change the meaning of others, and their ranges.
 MODIFIERS = {"roll": (-360.0, 360.0), "zoom": (1.0, 200.0)}
+SLOW_MOTION = 1.5  # cameras film at twice the rate of the video or more; dates may be whole seconds
 NADIR_DEGREES = 45.0  # from straight down, within which the image's top has a heading
 
 
@@ -42,6 +44,7 @@ class Telemetry:
     focal_length: Float[Array, " T"]  # millimetres, 35 mm equivalent, with digital zoom
     # why a field is not stated though the file seems to have it, for messages; by field
     remarks: Mapping[str, str] = field(default_factory=dict)
+    recorded: float = math.nan  # seconds from the first state to the last by their dates
 
 
 def make_telemetry(
@@ -81,6 +84,30 @@ def make_telemetry(
         focal_length=focal_length,
         remarks=remarks or {},
     )
+
+
+def join_telemetry(
+    parts: Sequence[Telemetry | None], starts: Float[Array, " P+1"]
+) -> Telemetry | None:
+    """Join the telemetry of the parts of a video, by the times of their first frames and the end.
+
+    None where no part has any.
+    """
+    names = [one.name for one in fields(Telemetry) if one.name not in ("remarks", "recorded")]
+    whole: dict[str, list[Float[Array, " _"]]] = {name: [] for name in names}
+    remarks: dict[str, str] = {}
+    for part, (start, end) in zip(parts, pairwise(starts.tolist()), strict=True):
+        if part is not None:
+            inside = part.time + start < end  # subtitles may outlast the frames of their file
+            for name in names:
+                values = getattr(part, name)[inside]
+                whole[name].append(values + start if name == "time" else values)
+            remarks |= part.remarks
+    if not whole["time"]:
+        return None
+    joined = {name: np.concatenate(values) for name, values in whole.items()}
+    recorded = sum(math.nan if part is None else part.recorded for part in parts)
+    return Telemetry(**joined, remarks=remarks, recorded=recorded)
 
 
 def _find_heading_of_top(

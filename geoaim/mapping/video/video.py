@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import dropwhile, takewhile
+from itertools import chain, dropwhile, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,15 @@ from geoaim.base.limits import check_memory, refuse_damaged
 from geoaim.base.raster_files import open_raster_file
 from geoaim.mapping.video.decoding import VideoFile, open_video_file, read_frames, read_frames_at
 from geoaim.mapping.video.exif import read_exif
+from geoaim.mapping.video.flight_log import is_flight_log, read_flight_log
 from geoaim.mapping.video.frames import Frame, FrameList
 from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.subtitles import read_subtitles
-from geoaim.mapping.video.telemetry import Telemetry
+from geoaim.mapping.video.telemetry import SLOW_MOTION, Telemetry, join_telemetry
 
 BYTES_PER_PIXEL = 16  # memory for a pixel while an image is decoded
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
+VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".ts"})
 Pixels = UInt8[Array, "H W 3"] | UInt8[Array, "H W"]
 # seconds of a video to which it is cut, as of a media fragment (W3C): flight.mp4#t=8.5,24
 PART = re.compile(r"#t=(\d+\.?\d*),(\d+\.?\d*)$")
@@ -103,7 +105,7 @@ class Video:
 
     @cached_property
     def telemetry(self) -> Telemetry | None:
-        """State of the camera, from the .SRT beside the video or the EXIF of images, or None."""
+        """State of the camera, from a file beside the video or the EXIF of images, or None."""
         try:
             return self.read_telemetry()
         except (GeoreferenceError, OSError) as error:
@@ -157,14 +159,15 @@ def read_frame(video: Video, time: float) -> Frame:
 
 
 def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = None) -> Video:
-    """Open a video file, a folder or glob of images, a list of image paths, or arrays.
+    """Open a video file or its parts, a folder or glob of images, a list of images, or arrays.
 
     Args:
         source: path of a video, of a folder of images (jpg, png, tif, in natural order) or of one
             image; a glob pattern; a sequence of image paths; a sequence or re-iterable of
             (H, W, 3) RGB or (H, W) grey uint8 arrays; or a Video, which is returned. A path may end
             with the seconds of a part, `flight.mp4#t=8.5,24`: telemetry, numbers and times of its
-            frames stay those of the whole video.
+            frames stay those of the whole video. A glob or sequence of video files is one
+            recording, in several files as drones split it: all follow one another.
         rate: frames per second of images and arrays; 1 makes time the index. Video files carry
             their own timestamps.
         threads: decoding threads; None leaves the number to the decoder.
@@ -189,9 +192,9 @@ def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = 
         if (part := PART.search(str(source))) and not os.path.exists(source):
             whole = open_video(str(source)[: part.start()], rate=rate, threads=threads)
             return _cut_video(whole, float(part[1]), float(part[2]))
-        paths = _list_images(str(source))
-        if paths is None:
-            return _open_file(Path(source), threads)
+        paths = _list_files(str(source))
+        if not _is_image(paths[0]):
+            return _join_parts(str(source), paths, threads)
         return _open_images(str(source), paths, rate)
     if not isinstance(source, Iterable):
         raise TypeError(f"a path or an iterable of images is needed, not {type(source).__name__}")
@@ -203,7 +206,12 @@ def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = 
     if not isinstance(source, Sequence | Array):
         return _open_stream(source, rate)
     if len(source) and isinstance(source[0], str | Path):
-        return _open_images(f"{len(source)} images", [Path(path) for path in source], rate)
+        if len(source) == 1:
+            return open_video(source[0], rate=rate, threads=threads)
+        paths = [Path(path) for path in source]
+        if all(_is_image(path) for path in paths):
+            return _open_images(f"{len(paths)} images", paths, rate)
+        return _join_parts(f"{paths[0]} and {len(paths) - 1} more", paths, threads)
     return _open_indexed(lambda index: source[index], len(source), rate)
 
 
@@ -242,6 +250,58 @@ def _take_between(frames: Iterable[Frame], first: float, last: float) -> Iterato
     )
 
 
+def _join_parts(source: str, paths: list[Path], threads: int | None) -> Video:
+    """Join the files of one recording, which follow one another without a gap."""
+    parts = [_open_file(path, threads) for path in paths]
+    if len(parts) == 1:
+        return parts[0]
+    first = parts[0]
+    for part in parts[1:]:
+        # a file's rate is its number of frames by its length, which is rounded in short files
+        if (part.height, part.width) != (first.height, first.width) or not math.isclose(
+            part.rate, first.rate, rel_tol=0.01
+        ):
+            raise VideoError(
+                f"{part.source} has {part.width} x {part.height} px and {part.rate:.4g} frames a "
+                f"second, {first.source} {first.width} x {first.height} and {first.rate:.4g}: they "
+                "are no parts of one recording; give each alone"
+            )
+    times = [part.listed.times for part in parts]
+    own = [
+        np.array([frame.time for frame in part]) if stated is None else stated
+        for part, stated in zip(parts, times, strict=True)
+    ]
+    firsts = np.cumsum([0, *(len(stated) for stated in own)])
+    starts = np.cumsum([0.0, *(stated[-1] + 1 / first.rate for stated in own)])
+    every = np.concatenate([stated + start for stated, start in zip(own, starts, strict=False)])
+
+    def move(number: int, frames: Iterator[Frame]) -> Iterator[Frame]:
+        for frame in frames:
+            index, time = frame.index + int(firsts[number]), frame.time + float(starts[number])
+            yield replace(frame, index=index, time=time)
+
+    def read_at(wanted: Float[Array, " n"], slack: float) -> Iterator[Frame]:
+        numbers = np.searchsorted(starts[1:-1] - INDEX_TOLERANCE, wanted, side="right")
+        for number in np.unique(numbers).tolist():
+            inside = (wanted[numbers == number] - starts[number]).clip(0.0)
+            yield from move(number, parts[number].read_at(inside, slack))
+
+    return replace(
+        first,
+        source=source,
+        rate=len(every) / float(starts[-1]),
+        frame_count=len(every),
+        read_all=lambda: chain.from_iterable(move(n, iter(part)) for n, part in enumerate(parts)),
+        read_at=read_at,
+        read_telemetry=lambda: (
+            _read_log_beside(paths[0], float(starts[-1]))
+            or join_telemetry([part.read_telemetry() for part in parts], starts)
+        ),
+        keyframe_interval=max(part.keyframe_interval for part in parts),
+        read_times=lambda: every,
+    )
+
+
 def _open_file(path: Path, threads: int | None) -> Video:
     file = open_video_file(path, threads)
     height, width = file.stored_size[::-1] if file.quarter_turns % 2 else file.stored_size
@@ -260,9 +320,11 @@ def _open_file(path: Path, threads: int | None) -> Video:
 
 
 def _read_telemetry(path: Path, file: VideoFile) -> Telemetry | None:
-    """Telemetry from the .SRT file beside a video or from its subtitles, or None."""
+    """Telemetry from the .SRT or flight log beside a video or from its subtitles, or None."""
     sidecars = [path.with_suffix(suffix) for suffix in (".SRT", ".srt")]
     found = next((read_srt(sidecar) for sidecar in sidecars if sidecar.exists()), None)
+    if found is None:
+        found = _read_log_beside(path, file.count / file.rate if file.count else math.nan)
     if found is None:
         found = read_subtitles(path, 0.0 if np.isnan(file.start) else file.start)
     if found is None or file.quarter_turns % 4 == 0:
@@ -272,28 +334,51 @@ def _read_telemetry(path: Path, file: VideoFile) -> Telemetry | None:
     return replace(found, yaw=np.full_like(found.yaw, np.nan), remarks=remarks)
 
 
-def _list_images(source: str) -> list[Path] | None:
-    """Images of a folder or pattern, in natural order; None when the source is another file."""
+def _read_log_beside(path: Path, duration: float) -> Telemetry | None:
+    """Telemetry from the flight log of the same name as a video, or None."""
+    logs = [path.with_suffix(suffix) for suffix in (".csv", ".CSV")]
+    found = next((log for log in logs if log.is_file() and is_flight_log(log)), None)
+    return None if found is None else read_flight_log(found, duration)
+
+
+def warn_of_pace(video: Video) -> None:
+    """Warn of slow motion and time lapse, where the dates of the telemetry tell it."""
+    telemetry = video.telemetry if video.names is None else None
+    if telemetry is None or not len(telemetry.time):
+        return
+    recorded, shown = telemetry.recorded, float(np.ptp(telemetry.time))
+    others = (shown, video.duration)  # a video whose times were mended keeps its old .SRT
+    if all(
+        abs(recorded - one) > 2.0 and max(recorded, one) > SLOW_MOTION * min(recorded, one)
+        for one in others
+    ):
+        pace = recorded / shown
+        kind = "slow motion" if pace < 1 else "a time lapse"
+        warn(
+            f"{video.source} is {kind}: by the dates of its telemetry {recorded:.0f} s were "
+            f"recorded, which it shows in {shown:.0f} s, so that speeds are {pace:.3g} times the "
+            f"true ones; mend its times (ffmpeg -itsscale {pace:.4g} -i IN -c copy OUT)"
+        )
+
+
+def _list_files(source: str) -> list[Path]:
+    """Images of a folder or pattern, else the videos of a pattern, in natural order; or a file."""
     path = Path(source)
     if os.path.isdir(source):  # False of a name that is too long
-        images = [entry for entry in path.iterdir() if _is_image(entry)]
+        entries = list(path.iterdir())
     elif os.path.exists(source):
-        return [path] if _is_image(path) else None
+        return [path]
     elif any(sign in source for sign in "*?["):
-        images = [Path(entry) for entry in glob.glob(source) if _is_image(Path(entry))]
+        entries = [Path(entry) for entry in glob.glob(source)]
     else:
         raise VideoError(f"{source}: there is no such file or folder")
-    if not images:
-        others = [] if os.path.isdir(source) else glob.glob(source)
-        if len(others) > 1:
-            raise VideoError(
-                f"{source} matches {len(others)} files that are no images, such as {others[0]}; "
-                "one video is read: join the parts of a recording (ffmpeg -f concat -i LIST -c "
-                "copy OUT)"
-            )
+    found = [entry for entry in entries if _is_image(entry)]
+    if not found and not os.path.isdir(source):
+        found = [entry for entry in entries if entry.suffix.lower() in VIDEO_SUFFIXES]
+    if not found:
         kinds = ", ".join(sorted(IMAGE_SUFFIXES))
-        raise VideoError(f"{source}: no image found; {kinds} are read")
-    return sorted(images, key=_natural_sort_key)
+        raise VideoError(f"{source}: no image found; {kinds} are read, and patterns of videos")
+    return sorted(found, key=_natural_sort_key)
 
 
 def _is_image(path: Path) -> bool:

@@ -86,10 +86,16 @@ def test_a_local_map_is_placed_near_a_position_in_any_direction(aim, ortho):
     assert np.hypot(*metres.T).max() < 0.3
 
 
-def test_a_corner_that_may_be_off_is_warned_of(aim, ortho, monkeypatch):
+def test_corners_that_may_be_off_are_named_where_they_show_ground(aim, ortho, monkeypatch):
     monkeypatch.setattr(placing, "MAX_CORNER_PX", 0.0)
-    with pytest.warns(UserWarning, match="a corner of the map may be"):
-        placing.place_by_imagery(aim, ortho, progress=no_progress)
+    coverage = aim.coverage.copy()
+    coverage[:, -1] = 0
+    with pytest.warns(UserWarning, match="corners of the map") as caught:
+        placing.place_by_imagery(replace(aim, coverage=coverage), ortho, progress=no_progress)
+    [text] = [str(one.message) for one in caught if "corners" in str(one.message)]
+    assert "top left" in text
+    assert "bottom left" in text
+    assert "right" not in text
 
 
 def state_world(aim, imagery, **options):

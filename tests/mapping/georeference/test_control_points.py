@@ -1,8 +1,8 @@
 from dataclasses import replace
-from zipfile import ZipFile
 
 import numpy as np
 import pytest
+from pyproj import CRS
 from rasterio.control import GroundControlPoint
 
 from geoaim.base.errors import GeoreferenceError
@@ -97,6 +97,8 @@ def test_opendronemap_lists_without_pixels_are_refused(tmp_path):
     path = written(tmp_path, "EPSG:4326\ngcp01\t-119.87\t34.40\t0\n")
     with pytest.raises(GeoreferenceError, match=r"line 2.*4 fields"):
         read_control_points(path)
+    with pytest.raises(GeoreferenceError, match="not commas"):
+        read_control_points(written(tmp_path, "EPSG:4326\n1,2,3,4,5,a.jpg\n", "c.txt"))
     with pytest.raises(GeoreferenceError, match="no column"):
         read_control_points(written(tmp_path, "3483\t729\tIMG_0031.jpg\n", "b.txt"))
 
@@ -108,6 +110,15 @@ def test_qgis_points_turn_their_sign_and_skip_disabled(tmp_path, names):
     np.testing.assert_array_equal(points.pixels, [[100.5, 200.5]])
     np.testing.assert_array_equal(points.coordinates, [[5.0, 6.0]])
     assert points.crs == "EPSG:32635"
+
+
+def test_qgis_points_have_their_crs_in_a_column(tmp_path):
+    crs = CRS("EPSG:32635").to_wkt("WKT1_GDAL").replace('"', '""')  # as of QGIS 3.18 to 3.24
+    text = f'mapX,mapY,pixelX,pixelY,enable,CRS\n5,6,100.5,-200.5,1,"{crs}"\n'
+    points = read_control_points(written(tmp_path, text, "a.points"))
+    np.testing.assert_array_equal(points.coordinates, [[5.0, 6.0]])
+    assert points.crs is not None
+    assert CRS(points.crs).equals("EPSG:32635", True)
 
 
 def test_qgis_points_of_a_georeferenced_picture_are_refused(tmp_path):
@@ -227,47 +238,10 @@ def test_commas_of_thousands_are_refused(tmp_path):
         read_control_points(path)
 
 
-def write_workbook(path, strings, rows):
-    space = 'xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"'
-    with ZipFile(path, "w") as book:
-        items = "".join(f"<si><t>{text}</t></si>" for text in strings)
-        book.writestr("xl/sharedStrings.xml", f"<sst {space}>{items}</sst>")
-        sheet = f"<worksheet {space}><sheetData>{rows}</sheetData></worksheet>"
-        book.writestr("xl/worksheets/sheet1.xml", sheet)
-
-
-def test_the_first_sheet_of_a_workbook_is_read(tmp_path):
-    names = ["# crs: local", "u", "v", "x", "y", "name", "a, corner"]
-    head = "".join(f'<c r="{c}2" t="s"><v>{i}</v></c>' for i, c in enumerate("ABCDE", 1))
-    values = '<c r="A3"><f>5*2</f><v>10</v></c><c r="B3"><v>20.5</v></c><c r="C3"><v>3</v></c>'
-    last = '<c r="D3"><v>-4.25</v></c><c r="E3" t="s"><v>6</v></c><c r="AA3"><v>9</v></c>'
-    first = '<row><c r="A1" t="s"><v>0</v></c></row>'
-    path = tmp_path / "points.xlsx"
-    write_workbook(path, names, f"{first}<row>{head}</row><row>{values}{last}</row>")
-    points = read_control_points(path)
-    np.testing.assert_array_equal(points.pixels, [[10.0, 20.5]])
-    np.testing.assert_array_equal(points.coordinates, [[3.0, -4.25]])
-    assert points.names == ("a, corner",)
-
-
-@pytest.mark.parametrize("damage", [lambda b: b[:60], lambda b: b"PK" + bytes(50)])
-def test_a_damaged_workbook_is_refused_by_its_name(tmp_path, damage):
-    path = tmp_path / "points.xlsx"
-    write_workbook(path, ["u"], "<row/>")
-    path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(GeoreferenceError, match=r"points\.xlsx"):
-        read_control_points(path)
-
-
-def test_texts_of_a_workbook_may_have_decimal_commas(tmp_path):
-    texts = ["u", "v", "lon", "lat", "name", "10,5", "20,25", "27,5", "53,9"]
-    head = "".join(f'<c r="{c}1" t="s"><v>{i}</v></c>' for i, c in enumerate("BCDEA"))
-    values = "".join(f'<c r="{c}2" t="s"><v>{i}</v></c>' for i, c in enumerate("BCDE", 5))
-    path = tmp_path / "points.xlsx"
-    write_workbook(path, texts, f"<row>{head}</row><row>{values}</row>")
-    points = read_control_points(path)
-    np.testing.assert_array_equal(points.pixels, [[10.5, 20.25]])
-    np.testing.assert_array_equal(points.coordinates, [[27.5, 53.9]])
+def test_a_workbook_is_refused_with_what_to_do(tmp_path):
+    (tmp_path / "points.xlsx").write_bytes(b"PK" + bytes(50))
+    with pytest.raises(GeoreferenceError, match=r"points\.xlsx.*save the sheet as CSV"):
+        read_control_points(tmp_path / "points.xlsx")
 
 
 def test_a_first_cell_may_be_empty_where_tabs_separate(tmp_path):

@@ -130,6 +130,16 @@ def test_equal_information_changes_nothing_and_redundancy_widens_the_statement()
     np.testing.assert_allclose(thrice, np.sqrt(3.0) * once, rtol=1e-2)
 
 
+def test_a_common_error_moves_nothing_and_widens_the_statement_everywhere():
+    points = make_points(noise=1.0)
+    plain, common = (
+        estimate_georeference(some, **SIZE) for some in (points, replace(points, common_error=0.5))
+    )
+    np.testing.assert_array_equal(common.world_from_image, plain.world_from_image)
+    sigma, wider = (predict_uncertainty(one, GRID)[0] for one in (plain, common))
+    np.testing.assert_allclose(wider, np.hypot(sigma, 0.5), rtol=1e-2)
+
+
 def test_a_further_point_is_not_promised_to_be_better_than_picking():
     corner = GRID[[0, 1, 4, 5]] / 2  # exact, so that their own noise looks like nothing
     found = map_uncertainty(estimate_georeference(make_points(pixels=corner), **SIZE))

@@ -6,7 +6,6 @@ import av
 import numpy as np
 import pytest
 
-from geoaim.base.errors import VideoError
 from geoaim.mapping.video.video import open_video
 
 STATE = (
@@ -69,10 +68,3 @@ def test_subtitles_that_are_spoken_are_no_telemetry(tmp_path):
 def test_the_longest_stream_is_the_video_and_a_thumbnail_is_not(tmp_path):
     video = open_video(write_video(tmp_path / "a.mp4", "mov_text", [], thumbnail=True))
     assert (video.width, video.height, video.frame_count) == (64, 48, 20)
-
-
-def test_a_pattern_of_videos_is_told_to_join_them(tmp_path):
-    for name in ("part0.mp4", "part1.mp4"):
-        write_video(tmp_path / name, "mov_text", [])
-    with pytest.raises(VideoError, match=r"matches 2 files that are no images.* join the parts"):
-        open_video(str(tmp_path / "part*.mp4"))

@@ -3,7 +3,7 @@ import pytest
 import shapely
 import torch
 
-from geoaim.rendering.triangles import compute_pixel_coverage
+from benchmarks.rendering.exactness import compute_pixel_coverage
 
 
 def _boxes(count, seed=0):

@@ -1,5 +1,6 @@
-"""Doubles of torchdrivesim's renderer interface, made from its published signatures alone."""
+"""The renderer for torchdrivesim 0.2.3, by a double made from its published signatures alone."""
 
+import importlib
 import sys
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -7,6 +8,8 @@ from types import ModuleType
 from typing import NamedTuple
 
 import torch
+
+from geoaim.rendering import make_ground
 
 
 class Resolution(NamedTuple):
@@ -30,7 +33,7 @@ COLOURS = {name: (30 * k, 255 - 30 * k, 10 * k) for k, name in enumerate(LEVELS)
 SMALL = Resolution(64, 64)
 
 
-class Renderer023(ABC):
+class BirdviewRenderer(ABC):
     """`BirdviewRenderer` of 0.2.3."""
 
     def __init__(
@@ -68,53 +71,27 @@ class Renderer023(ABC):
         """Render a picture of each element of a batch."""
 
 
-class Cameras(NamedTuple):
-    """What renderers of the next version are given."""
-
-    xy: torch.Tensor
-    sc: torch.Tensor
-    scale: float
-
-
-class Mesh(NamedTuple):
-    """`RGBMesh`: vertices with a level, faces, colours of the vertices."""
-
-    verts: torch.Tensor
-    faces: torch.Tensor
-    attrs: torch.Tensor
-
-
-class RendererNext:
-    """`BirdviewRenderer` of the main branch of February 2026."""
-
-    def __init__(self, cfg, color_map=None, rendering_levels=None, res=SMALL, fov=35):
-        self.cfg, self.res, self.scale = cfg, res, 2.0 / fov
-        self.color_map, self.rendering_levels = color_map or COLOURS, rendering_levels or LEVELS
-
-    def render_frame(self, rgb_mesh, camera_xy, camera_sc, res=None, fov=None):
-        """Views of all cameras, (B Nc, C, H, W), by `render_rgb_mesh`."""
-        scale = self.scale if fov is None else 2.0 / fov
-        cameras = Cameras(camera_xy.reshape(-1, 2), camera_sc.reshape(-1, 2), scale)
-        return self.render_rgb_mesh(rgb_mesh, res or self.res, cameras).permute(0, 3, 1, 2)
-
-
-def install(monkeypatch, renderer):
-    """Let `import torchdrivesim` find a double, and forget geoaim's modules that imported it."""
-    for name in list(sys.modules):
-        if name.split(".")[0] == "torchdrivesim" or name.startswith(
-            "geoaim.rendering.torchdrivesim"
-        ):
-            monkeypatch.delitem(sys.modules, name)
-    modules = {
+def test_views_follow_all_agents_and_batches_are_expanded(monkeypatch):
+    for name, contents in {
         "torchdrivesim": {},
         "torchdrivesim.rendering": {},
         "torchdrivesim.rendering.base": {
-            "BirdviewRenderer": renderer,
+            "BirdviewRenderer": BirdviewRenderer,
             "RendererConfig": RendererConfig,
         },
         "torchdrivesim.utils": {"Resolution": Resolution},
-    }
-    for name, contents in modules.items():
+    }.items():
         module = ModuleType(name)
         vars(module).update(contents)
         monkeypatch.setitem(sys.modules, name, module)
+    ours = "geoaim.rendering.torchdrivesim"
+    monkeypatch.delitem(sys.modules, ours, raising=False)
+    image = torch.rand(3, 60, 60, generator=torch.Generator().manual_seed(0))
+    ground = make_ground(image, torch.tensor([[1.0, 0, 30], [0, -1.0, 30]]))
+    renderer = importlib.import_module(ours).ImageMapRenderer(ground, batch_size=1, fov=40.0)
+    monkeypatch.delitem(sys.modules, ours)
+    poses = torch.tensor([[[2.0, 1.0, 0.4, 0], [-6.0, 3.0, 2.0, 0], [2.5, 1.5, 1.0, 0]]])
+    sizes = torch.tensor([[[4.5, 1.9], [8.0, 2.5], [2.0, 2.0]]])
+    views = renderer.render_frame({"vehicle": poses}, {"vehicle": sizes})
+    assert views.shape == (1, 3, 3, 64, 64)
+    assert renderer.expand(2).select_batch_elements(torch.tensor([1])).world_center.shape == (1, 2)
