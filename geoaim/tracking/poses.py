@@ -30,8 +30,10 @@ from geoaim.tracks.tracks import estimate_heading
 
 MAX_REVERSE_SPEED = 3.5  # m/s; a faster vehicle drives forward
 MIN_TRAVEL_M = 1.5  # of a vehicle that does not stand all the time
-# by which errors of the middle turn a vehicle: its axle averages them, and a stop keeps one
-MOVING_SHARE, STILL_SHARE = 0.75, 1.7
+# by which errors of the middle turn a vehicle: its axle averages them, and a stop keeps one. Of
+# what stands on lanes (validation seeds 900, 910), 90 % then lie in their 95 % range where errors
+# last for 1.5 s (83 and 87 % with 1.7), 91 and 96 % where they last for 3 s, all of plain boxes
+MOVING_SHARE, STILL_SHARE = 0.75, 2.2
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ class Standing(NamedTuple):
     sigma: float  # standard deviation, rad; `LINE_SIGMA_RAD` of one that may be the opposite
     vote: float = 0.0  # by the first sides of its boxes: 1 if all point there, -1 if none does
 
-    def face(self, forward: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
+    def face(self, forward: Float[Array, "n"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
         """Give heading and deviation, where first sides are fronts with a probability `forward`.
 
         With a probability p of the opposite, a heading deviates by π √p.
