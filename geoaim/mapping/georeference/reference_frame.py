@@ -244,8 +244,8 @@ def _georeference_by_telemetry(
         raise GeoreferenceError(
             f"{listed.source}: no control points were given and no telemetry can be read beside it "
             "(a DJI .SRT or flight log of the same name, or GPS in images' EXIF); give four or "
-            f"more control points ({name_option('--points', 'gcps=')}), or for a map in a local plane "
-            "the metres "
+            f"more control points ({name_option('--points', 'gcps=')}), or for a map in a local "
+            "plane the metres "
             + name_option(
                 "per pixel of the frames (--frame-resolution, or --resolution of a single image)",
                 "per pixel of the frames (gcps=make_local_georeference(resolution=...))",
