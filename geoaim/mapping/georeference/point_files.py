@@ -185,6 +185,8 @@ def _read_odm(content: Lines, crs: str, path: Path) -> list[PointRow]:
     for number, line in content[1:]:
         words, source = line.split(), f"{path}, line {number}"
         if len(words) < 6:
+            words = line.replace(",", " ").split()
+        if len(words) < 6:
             raise GeoreferenceError(
                 f"{source}: {line!r} has {len(words)} fields; an OpenDroneMap line needs x, y, z,"
                 " pixel x, pixel y and the image. Pick the point in an image first."
@@ -202,7 +204,8 @@ def _read_qgis(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
     rows = []
     for number, line in content[1:]:
         source = f"{path}, line {number}"
-        fields = dict(zip(header, (f.strip() for f in line.split(separator)), strict=False))
+        cells = next(csv.reader([line], delimiter=separator))  # a CRS in WKT is quoted
+        fields = dict(zip(header, (cell.strip() for cell in cells), strict=False))
         if not set(QGIS_COLUMNS) <= set(fields):
             raise GeoreferenceError(f"{source}: {line!r} lacks one of the columns {header[:4]}.")
         if fields.get("enable", "1").lower() in ("0", "false"):
@@ -213,7 +216,7 @@ def _read_qgis(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
                 f"{source}: {line!r} has a positive image y; QGIS counts pixels downwards as"
                 " negative. Was the image georeferenced before? Pick on the plain image."
             )
-        rows.append(PointRow((u, -up), (x, y), source, crs))
+        rows.append(PointRow((u, -up), (x, y), source, crs or fields.get("crs") or None))
     return rows
 
 
