@@ -27,6 +27,7 @@ from geoaim.base.world import (
     world_from_crs,
 )
 
+NEEDED = "GeoJSON (of KML, GeoPackage or Shapefile: ogr2ogr -f GeoJSON OUT.geojson IN)"
 GEOMETRIES = ("Point", "LineString", "Polygon", "MultiPoint", "MultiLineString", "MultiPolygon")
 TYPES = ("FeatureCollection", "Feature", *GEOMETRIES, "GeometryCollection")
 NEAR_DEGREES = 2.0  # between shapes and the map that they are drawn on
@@ -51,7 +52,7 @@ def read_features(path: str | os.PathLike[str], world: World) -> list[Feature]:
         FileNotFoundError: there is no such file.
         MapError: the file is not GeoJSON, has no geometry, or lies elsewhere than the world.
     """
-    with refuse_damaged(path, MapError, "GeoJSON", reads_once=True):
+    with refuse_damaged(path, MapError, NEEDED, reads_once=True):
         crs, features = _load_features(path)
     if world.crs is None:
         if crs is not None:
@@ -82,7 +83,7 @@ def list_features(path: str | os.PathLike[str]) -> list[Feature]:
         FileNotFoundError: there is no such file.
         MapError: the file is not GeoJSON, or has no geometry.
     """
-    with refuse_damaged(path, MapError, "GeoJSON", reads_once=True):
+    with refuse_damaged(path, MapError, NEEDED, reads_once=True):
         return _load_features(path)[1]
 
 

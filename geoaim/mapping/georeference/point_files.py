@@ -153,15 +153,11 @@ def _read_odm(content: Lines, crs: str, path: Path) -> list[PointRow]:
     for number, line in content[1:]:
         words, source = line.split(), f"{path}, line {number}"
         if len(words) < 6:
-            commas = line.count(",") >= 5
+            words = line.replace(",", " ").split()
+        if len(words) < 6:
             raise GeoreferenceError(
                 f"{source}: {line!r} has {len(words)} fields; an OpenDroneMap line needs x, y, z,"
-                " pixel x, pixel y and the image"
-                + (
-                    ", between spaces or tabs, not commas."
-                    if commas
-                    else ". Pick the point in an image first."
-                )
+                " pixel x, pixel y and the image. Pick the point in an image first."
             )
         x, y, u, v = (_parse_number(words[i], source) for i in (0, 1, 3, 4))
         pixel = (u + ODM_PIXEL_SHIFT, v + ODM_PIXEL_SHIFT)

@@ -97,8 +97,6 @@ def test_opendronemap_lists_without_pixels_are_refused(tmp_path):
     path = written(tmp_path, "EPSG:4326\ngcp01\t-119.87\t34.40\t0\n")
     with pytest.raises(GeoreferenceError, match=r"line 2.*4 fields"):
         read_control_points(path)
-    with pytest.raises(GeoreferenceError, match="not commas"):
-        read_control_points(written(tmp_path, "EPSG:4326\n1,2,3,4,5,a.jpg\n", "c.txt"))
     with pytest.raises(GeoreferenceError, match="no column"):
         read_control_points(written(tmp_path, "3483\t729\tIMG_0031.jpg\n", "b.txt"))
 
@@ -252,3 +250,17 @@ def test_a_first_cell_may_be_empty_where_tabs_separate(tmp_path):
 def test_a_line_of_accuracy_may_have_a_decimal_comma(tmp_path):
     path = written(tmp_path, "# accuracy: 0,05 m\nu;v;lon;lat\n1;2;27,5;53,9\n")
     assert read_control_points(path).accuracy == 0.05
+
+
+def test_qgis_column_of_crs_and_commas_of_opendronemap_are_read(tmp_path):
+    wkt = CRS.from_epsg(32611).to_wkt("WKT1_GDAL").replace('"', '""')
+    lines = [
+        f'{x},{y},{u},{-v},1,0,0,0,"{wkt}"' for (u, v), (x, y) in zip(PIXELS, UTM, strict=True)
+    ]
+    qgis = tmp_path / "a.points"
+    qgis.write_text("\n".join(["mapX,mapY,pixelX,pixelY,enable,dX,dY,residual,CRS", *lines]))
+    assert read_control_points(qgis).crs == "EPSG:32611"
+    lines = [f"{x},{y},181.2,{u},{v},a.jpg" for (u, v), (x, y) in zip(PIXELS, UTM, strict=True)]
+    drone = tmp_path / "gcp_list.txt"
+    drone.write_text("\n".join(["EPSG:32611", *lines]))
+    np.testing.assert_allclose(read_control_points(drone).coordinates, UTM)
