@@ -2,22 +2,27 @@
 
     python -m benchmarks.prediction own_place
 
-Headings and speeds of real recordings come from positions. That half of the samples follow the
-network of the place was chosen at `VAL`; no choice has seen the places of `TEST`, though k729 was
-judged once before, when all samples followed it.
+Headings and speeds of real recordings come from positions. Models give futures as `predict` does.
+No choice has seen the places of `TEST`, though k729 was judged three times before, under earlier
+rules by which futures follow the network of the place.
 """
 
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-
-import torch
 
 from benchmarks.prediction.averages import average_seeds
 from benchmarks.prediction.places import make_drawn_scene
-from benchmarks.prediction.real_places import KARLSRUHE, read_karlsruhe
-from benchmarks.prediction.results import Metrics, Workspace, compute_differences, write_results
+from benchmarks.prediction.real_places import KARLSRUHE, read_karlsruhe, read_zhengzhou
+from benchmarks.prediction.results import (
+    Metrics,
+    Workspace,
+    compute_differences,
+    compute_seed_means,
+    write_results,
+)
 from geoaim.base.defaults import SAMPLES
 from geoaim.base.progress import Progress
 from geoaim.cli.evaluate import train_on_beginning
@@ -28,11 +33,11 @@ from geoaim.prediction.config import MAX_HISTORY_STEPS, configure_fine_tuning
 from geoaim.prediction.dataset import Dataset, cut_beginnings, hold_out_agents, make_dataset
 from geoaim.prediction.evaluation import RECORDING, EvalConfig, judge
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.predict import DRAWS, choose_covering
+from geoaim.prediction.predict import draw_covering
 from geoaim.prediction.segments import Segments
 from geoaim.prediction.training import learn_place, train
 from geoaim.rendering.scene import Scene
-from geoaim.simulation.road_rules import RoadRules
+from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 from geoaim.tracks.formats.motion import derive_motion
 
 FRACTION = 0.3  # at the end of each recording, on which it is judged
@@ -57,6 +62,10 @@ def _read_junction(junction: str) -> _Recording:
     return _Recording([part.make_scene(0.1) for part in moved], parts[0].rules)
 
 
+def _read_zhengzhou(name: str) -> _Recording:
+    return _Recording([read_zhengzhou(name).make_scene(0.1)], NO_ROAD_RULES)
+
+
 def _draw_junction(seed: int) -> _Recording:
     scene, rules = make_drawn_scene("junction", seed, minutes=MINUTES)
     return _Recording([scene], rules)
@@ -64,10 +73,12 @@ def _draw_junction(seed: int) -> _Recording:
 
 VAL: dict[str, Callable[[], _Recording]] = {
     "Karlsruhe k733": lambda: _read_junction(KARLSRUHE[1]),
+    "Zhengzhou 0592": lambda: _read_zhengzhou("DJI_0592"),
     "made junction 921": lambda: _draw_junction(921),
 }
 TEST: dict[str, Callable[[], _Recording]] = {
     "Karlsruhe k729": lambda: _read_junction(KARLSRUHE[0]),
+    "Zhengzhou 0590": lambda: _read_zhengzhou("DJI_0590_0"),
     "made junction 932": lambda: _draw_junction(932),
 }
 
@@ -76,6 +87,7 @@ def run(workspace: Workspace) -> list[Path]:
     """Train the vehicle model on recordings of places and judge it at their ends."""
     metrics: dict[str, Metrics] = {}
     minutes: dict[str, float] = {}
+    means: dict[str, Sequence[Mapping[str, float]]] = {}
     differences: dict[str, Mapping[str, tuple[float, float]]] = {}
     for part, places in (("validation", VAL), ("test", TEST)):
         for place, read in places.items():
@@ -95,11 +107,12 @@ def run(workspace: Workspace) -> list[Path]:
             trained = [found.pop(f"{AFTER} {seed}") for seed in range(SEEDS)]
             found[AFTER] = average_seeds(trained)
             name = f"{part}, {place}"
+            means[name] = compute_seed_means(trained)
             metrics |= {f"{name}, {method}": values for method, values in found.items()}
             minutes |= {f"{name}, {method}": value for method, value in taken.items()}
             if PLAIN in found:
                 differences[name] = compute_differences(found[AFTER], found[PLAIN])
-    settings = {"minutes": minutes, "after minus plain network": differences}
+    settings = {"minutes": minutes, "trainings": means, "after minus plain network": differences}
     return write_results("own_place", metrics, settings, workspace.results)
 
 
@@ -124,23 +137,7 @@ def _cut_whole(model: ITRA, scenes: Sequence[Scene]) -> Segments | None:
     return cut_beginnings(scenes, model.config, FRACTION, MAX_HISTORY_STEPS + HORIZON)
 
 
-def cover(predict: Predictor) -> Predictor:
-    """Draw `DRAWS` futures and keep those that cover them, as `predict` does."""
-
-    def predict_covering(segments, ground, *, history, samples, generator):  # type: ignore[no-untyped-def]
-        given = {"history": history, "samples": DRAWS, "generator": generator}
-        drawn = predict(segments, ground, **given)
-        moved = segments.controlled & segments.present[:, :, history - 1]
-        chosen = [
-            choose_covering(futures[:, agents, history:, :2].flatten(1, 2), samples)
-            for futures, agents in zip(drawn, moved, strict=True)
-        ]
-        return torch.stack([f[index] for f, index in zip(drawn, chosen, strict=True)])
-
-    return predict_covering
-
-
-COVERING = "before, covering 24 draws"
+DRAWN = "before, plain draws"
 BEFORE, PLACE, AFTER, PLAIN = "before", "network of the place", "after", "plain network"
 
 
@@ -154,14 +151,14 @@ def _train(
     known = learn_place(model, dataset, _cut_whole(model, recording.scenes))
     seconds = time.perf_counter() - began
     predictors: dict[str, Predictor] = {
-        BEFORE: model.sample,
-        COVERING: cover(model.sample),
-        PLACE: known.sample,
+        DRAWN: model.sample,
+        BEFORE: partial(draw_covering, model),
+        PLACE: partial(draw_covering, known),
     }
     for seed in range(SEEDS):
         folder = workspace.models / f"own_place_{place.replace(' ', '_')}_{seed}"
         trained = train_place(model, recording.scenes, folder, workspace.progress, seed=seed)
-        predictors[f"{AFTER} {seed}"] = trained.sample
+        predictors[f"{AFTER} {seed}"] = partial(draw_covering, trained)
     taken = (time.perf_counter() - began - seconds) / SEEDS + seconds
     minutes = {PLACE: seconds / 60, AFTER: taken / 60}
     predictors |= BASELINES

@@ -24,7 +24,6 @@ from torch import Tensor
 from benchmarks.charts import OTHERS, OURS
 from benchmarks.prediction.closed_loop import CLOSED_LOOP
 from benchmarks.prediction.controllers import FUTURES, PLACES, PREDICTED
-from benchmarks.prediction.own_place import cover
 from benchmarks.prediction.places import DRAWN_RESOLUTION, make_drawn_scene
 from benchmarks.prediction.reaction import HISTORY, format_rows
 from benchmarks.prediction.results import Workspace
@@ -41,6 +40,7 @@ from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.dataset import cut_moving_and_parked
 from geoaim.prediction.metrics import compute_metrics
 from geoaim.prediction.plain import train_plain
+from geoaim.prediction.predict import draw_covering
 from geoaim.prediction.segments import Segments, concat
 from geoaim.rendering.corners import make_ground_from_aim
 from geoaim.rendering.ground import Ground
@@ -120,7 +120,7 @@ def _make_predictors() -> dict[str, Predictor]:
         model = read_pretrained("vehicle")
         model.config = replace(model.config, view_stride=stride)
         predictors[f"look each {stride / 10:g} s"] = model.sample
-    predictors["24 drawn, 6 chosen"] = cover(read_pretrained("vehicle").sample)
+    predictors["24 drawn, 6 chosen"] = partial(draw_covering, read_pretrained("vehicle"))
     model = read_pretrained("vehicle")
     model.controllers = [follow]
     predictors["without rules"] = model.sample

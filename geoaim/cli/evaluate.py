@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -60,7 +61,8 @@ def evaluate(
     """Evaluate a prediction model and compare it with constant-velocity and -turn-rate baselines.
 
     With --val-fraction also with a plain network of an agent's own past, which is trained on the
-    beginning of the tracks in seconds.
+    beginning of the tracks in seconds. The model's futures are those that predict gives; with
+    --realism plain draws, of which those likelihoods are made.
 
     Metrics are minADE (how far the closest of the samples is from what was driven), minFDE, MFD,
     collisions and traffic violations, also those of the recording itself, and with --realism how
@@ -88,12 +90,14 @@ def _evaluate(
     from geoaim.prediction.baselines import BASELINES, Predictor, replay
     from geoaim.prediction.config import MAX_HISTORY_STEPS
     from geoaim.prediction.evaluation import RECORDING, EvalConfig, judge
+    from geoaim.prediction.predict import draw_covering
     from geoaim.simulation.road_rules import check_rules, make_road_rules
 
     config, horizon = model.config, get_horizon(model)
     scene, hdmap, _ = read_scene(source, rate=1 / config.dt)
     rules = check_rules(scene, make_road_rules(hdmap))
-    predictors: dict[str, Predictor] = {"model": model.sample, **BASELINES}
+    draw = model.sample if choices["realism"] else partial(draw_covering, model)
+    predictors: dict[str, Predictor] = {"model": draw, **BASELINES}
     plain = train_on_beginning(model, [scene], fraction)
     if plain is not None:
         predictors["plain network"] = plain.sample

@@ -4,6 +4,7 @@ import csv
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -178,9 +179,13 @@ def _judge(
     from geoaim.prediction.baselines import BASELINES, Predictor
     from geoaim.prediction.config import MAX_HISTORY_STEPS
     from geoaim.prediction.evaluation import EvalConfig, judge
+    from geoaim.prediction.predict import draw_covering
 
-    predictors: dict[str, Predictor] = {} if before is None else {"before": before.sample}
-    predictors |= {"after": after.sample, **BASELINES}
+    models = {"after": after} if before is None else {"before": before, "after": after}
+    predictors: dict[str, Predictor] = {
+        name: partial(draw_covering, model) for name, model in models.items()
+    }
+    predictors |= BASELINES
     plain = train_on_beginning(after, scenes, fraction)
     if plain is not None:
         predictors["plain network"] = plain.sample

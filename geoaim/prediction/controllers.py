@@ -14,7 +14,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from geoaim.prediction.plain import PlainNetwork
 from geoaim.prediction.plans import BRAKING_AHEAD_S, Goal, Plan, approach_speed, plan_through
 from geoaim.prediction.rollouts import Rollout, gather_others
 from geoaim.prediction.safe_speeds import (
@@ -153,19 +152,17 @@ def find_standing(rollout: Rollout) -> Bool[Tensor, "E"]:
 def make_plans(
     rollout: Rollout,
     segments: Segments,
-    place: PlainNetwork | None,
+    plans: Float[Tensor, "B K N t 4"] | None,
     goals: Mapping[str, Goal],
     *,
     bicycle: bool,
 ) -> Rollout:
-    """Give agents the paths to their goals, and others the proposals of a place's network.
-
-    Each sample of the first half has a proposal of its own, for all agents of a segment.
+    """Give agents the paths to their goals, and others their plans.
 
     Args:
         rollout: at the last observed step.
         segments: its segments, not repeated for each sample.
-        place: the network of the place; None: there is none.
+        plans: states of each sample after the last observed step, of agents that are there then.
         goals: way points and target speeds of agents, by the names in `segments.ids`.
         bicycle: whether agents move as bicycles rather than unicycles.
 
@@ -175,16 +172,16 @@ def make_plans(
     Raises:
         ValueError: a goal's agent is not controlled.
     """
+    if plans is None and not goals:
+        return rollout
     controlled, samples, dt = rollout.batch.controlled, rollout.samples, segments.dt
     row, agent = controlled.segment // samples, controlled.agent
     rank = controlled.segment % samples
     states, steps = rollout.pose[:, None], torch.zeros_like(rank)
-    if place is not None:
-        plans, planned = place.plan(segments, rollout.batch.history)
-        proposed = plans[row, agent, rank.clamp_max(plans.shape[2] - 1)]  # (E, t, 4)
-        states = torch.cat([states, proposed], dim=1)
-        follows = planned[row, agent] & (rank < min(plans.shape[2], (samples + 1) // 2))
-        steps = torch.where(follows, proposed.shape[1], steps)
+    if plans is not None:
+        states = torch.cat([states, plans[row, rank, agent]], dim=1)
+        there = rollout.batch.present[:, rollout.index]
+        steps = torch.where(there, plans.shape[3], steps)
     speeds = torch.full_like(rollout.pose[:, 3], torch.nan)
     for name, goal in goals.items():
         found = [

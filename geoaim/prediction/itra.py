@@ -15,8 +15,7 @@ All other agents replay their ground truth. Agents enter and leave as recorded.
 Beyond the paper, a model may have trajectory proposals (`anchors`): at the last observed step it
 proposes `num_anchors` of them, and each sample follows one, as a further input of f_theta.
 
-A model that was trained on a place holds a network of that place (`plain`): half of the samples of
-agents that drive there, the first ones, follow its proposals, and brake as the config says.
+A model that was trained on a place holds a network of it, which `draw_covering` uses.
 
 Shapes: B segments, K samples, N agents, T steps, E controlled agents of all segments, F features,
 H hidden state, Z latent, A proposals, P points of a proposal.
@@ -156,6 +155,7 @@ class ITRA(nn.Module):
         generator: torch.Generator,
         latent_scale: float = 1.0,
         goals: Mapping[str, Goal] | None = None,
+        plans: Float[Tensor, "B K N t 4"] | None = None,
     ) -> Float[Tensor, "B K N T 4"]:
         """Sample joint futures of all controlled agents; all others replay.
 
@@ -171,6 +171,7 @@ class ITRA(nn.Module):
             generator: source of the noise, on the segments' device.
             latent_scale: a further factor on latents; 0: all samples are alike.
             goals: way points and target speeds of agents, by the names in `segments.ids`.
+            plans: states that agents follow in each sample after the last observed step.
 
         Returns:
             States x, y (m), heading (rad), speed (m/s) of all agents at all steps, the observed
@@ -180,7 +181,7 @@ class ITRA(nn.Module):
             ValueError: the segments do not fit the model.
         """
         given: dict[str, Any] = {"history": history, "samples": samples, "goals": goals}
-        rollout = self.start(segments, ground, **given)
+        rollout = self.start(segments, ground, plans=plans, **given)
         return self._roll_out(rollout, lambda now: self.draw_latent(now, generator, latent_scale))
 
     def decode_latents(
@@ -227,6 +228,7 @@ class ITRA(nn.Module):
         history: int,
         samples: int = 1,
         goals: Mapping[str, Goal] | None = None,
+        plans: Float[Tensor, "B K N t 4"] | None = None,
     ) -> Rollout:
         """Encode the observed steps of segments, for `step` to go on from.
 
@@ -236,6 +238,7 @@ class ITRA(nn.Module):
             history: observed steps.
             samples: K futures of each segment, which are rows next to each other.
             goals: way points and target speeds of agents, by the names in `segments.ids`.
+            plans: as in `sample`.
 
         Returns:
             The rollout at the last observed step.
@@ -250,9 +253,7 @@ class ITRA(nn.Module):
         if self.config.brakes:
             rollout = controllers.prepare(rollout, self.scale_action(actions))
         rollout = repeat_rollout(rollout, samples)
-        if self.own_place is None and not goals:
-            return rollout
-        given = rollout, segments, self.own_place, goals or {}
+        given = rollout, segments, plans, goals or {}
         return controllers.make_plans(*given, bicycle=self.config.motion == "bicycle")
 
     def draw_latent(

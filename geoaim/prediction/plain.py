@@ -1,8 +1,8 @@
 """Networks that are trained on one place in seconds: from an agent's own past to its futures.
 
 The plain network knows an agent's past and nothing else, neither map nor others: it is a baseline
-(`sample`). A model that was trained on a place holds one, and half of its samples follow what that
-network proposes for agents where it knows traffic.
+(`sample`). A model that was trained on a place holds one, whose proposals are taken beside samples
+for agents where it knows traffic.
 """
 
 import torch
@@ -121,7 +121,9 @@ class PlainNetwork(nn.Module):
         return torch.cat([numbers, now[:, 3:] / SPEED_SCALE, sizes / 5], dim=1)
 
     @torch.no_grad()
-    def plan(self, segments: Segments, history: int) -> tuple[Tensor, Bool[Tensor, "B N"]]:
+    def plan(
+        self, segments: Segments, history: int
+    ) -> tuple[Float[Tensor, "B N P T 4"], Float[Tensor, "B N P"]]:
         """Propose futures of the controlled agents that are there: the best single guess first.
 
         Args:
@@ -129,24 +131,21 @@ class PlainNetwork(nn.Module):
             history: observed steps.
 
         Returns:
-            (B, N, P, T, 4) states, the likeliest after the first one; and for which agents: those
-            that drive where the network knows traffic.
+            States, and the probability of each proposal; 0 of agents that stand, or are where the
+            network does not know traffic.
         """
         past, there = segments.states[:, :, :history], segments.present[:, :, :history]
         drives = (there & (past[..., 3].abs() > STANDING_MPS)).any(dim=2)
-        planned = segments.controlled & there[:, :, -1] & drives
-        row, agent = planned.nonzero().unbind(1)
+        row, agent = (segments.controlled & there[:, :, -1] & drives).nonzero().unbind(1)
         known = self.knows(past[row, agent, -1])
-        planned[row, agent] = known
         row, agent = row[known], agent[known]
-        shape = (*planned.shape, PROPOSALS, self.horizon, 4)
-        plans = torch.zeros(shape, device=past.device)
+        probabilities = past.new_zeros(*drives.shape, PROPOSALS)
+        plans = past.new_zeros(*probabilities.shape, self.horizon, 4)
         if len(row):
-            states, logits = self(past[row, agent], there[row, agent], segments.sizes[row, agent])
-            logits[:, 0] = torch.inf
-            order = logits.argsort(dim=1, descending=True)
-            plans[row, agent] = states[torch.arange(len(row))[:, None], order]
-        return plans, planned
+            given = past[row, agent], there[row, agent], segments.sizes[row, agent]
+            plans[row, agent], logits = self(*given)
+            probabilities[row, agent] = logits.softmax(dim=1)
+        return plans, probabilities
 
     @torch.no_grad()
     def sample(
@@ -163,9 +162,9 @@ class PlainNetwork(nn.Module):
         Samples are joint futures of agents that do not see each other, so that each agent's
         proposals are shuffled.
         """
-        plans, planned = self.plan(segments, history)
+        plans, probabilities = self.plan(segments, history)
         straight = _go_straight(segments, history)
-        row, agent = planned.nonzero().unbind(1)
+        row, agent = (probabilities > 0).any(dim=2).nonzero().unbind(1)
         path = straight[:, None].repeat(1, samples, 1, 1, 1)
         drawn = torch.rand(len(row), samples, generator=generator, device=row.device)
         chosen = drawn.argsort(dim=1) % max(1, min(samples, PROPOSALS))  # (E, K)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from geoaim.base.errors import ModelError
 from geoaim.base.files import atomic_files, lock_folder
 from geoaim.base.limits import refuse_damaged
 from geoaim.base.progress import Progress, notebook_progress
+from geoaim.prediction.baselines import Predictor
 from geoaim.prediction.batches import compute_top_k, draw_batch, join_processes, share_weights
 from geoaim.prediction.bound import Losses
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
@@ -30,6 +32,7 @@ from geoaim.prediction.familiarity import learn_known_views
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import compute_ade
 from geoaim.prediction.plain import train_plain
+from geoaim.prediction.predict import draw_covering
 from geoaim.prediction.segments import Segments, move_to, pick
 from geoaim.rendering.ground import Ground
 
@@ -167,7 +170,10 @@ def learn_place(
         return model
     learned = copy.deepcopy(model)
     learned.own_place = train_plain(train, model.config, history=history, place=True)
-    before, after = (_measure_min_ade(one, val, ground, history, 0) for one in (model, learned))
+    before, after = (
+        _measure_min_ade(partial(draw_covering, one), val, ground, history, 0)
+        for one in (model, learned)
+    )
     if after >= before:
         return model
     if whole is not None:
@@ -229,7 +235,7 @@ def _validate(
     """Compute the loss, with the final weight of its KL term, and minADE on validation segments."""
     history = config.history[1]
     segments = _pick_some(val, ground)
-    error = _measure_min_ade(model, val, ground, history, config.seed)
+    error = _measure_min_ade(model.sample, val, ground, history, config.seed)
     generator = torch.Generator(ground.image.device).manual_seed(config.seed)
     loss = _sum_losses(model(segments, ground, history, generator), config.kl_weight)
     return float(loss), error
@@ -242,11 +248,13 @@ def _pick_some(val: Segments, ground: Ground) -> Segments:
 
 
 @torch.no_grad()
-def _measure_min_ade(model: ITRA, val: Segments, ground: Ground, history: int, seed: int) -> float:
+def _measure_min_ade(
+    predict: Predictor, val: Segments, ground: Ground, history: int, seed: int
+) -> float:
     """minADE on validation segments."""
     segments = _pick_some(val, ground)
     generator = torch.Generator(ground.image.device).manual_seed(seed)
-    futures = model.sample(segments, ground, history=history, samples=SAMPLES, generator=generator)
+    futures = predict(segments, ground, history=history, samples=SAMPLES, generator=generator)
     errors = compute_ade(futures, segments, history).amin(dim=1)
     return float(errors[segments.controlled].mean())
 
