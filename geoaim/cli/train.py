@@ -244,7 +244,7 @@ def _summarize_log(log: Path) -> str:
     if best == 0:
         return (
             f"no better than before: minADE {first['minADE']:.2f} m before, {last['minADE']:.2f} m "
-            f"after step {last['step']:.0f}; model.pt is the model that training began with"
+            f"after step {last['step']:.0f}; model.pt has the weights that training began with"
         )
     chosen = next(row for row in rows if row["step"] == best)
     before = "before" if first["step"] == 0 else f"after step {first['step']:.0f}"
