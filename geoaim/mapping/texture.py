@@ -3,11 +3,9 @@
 import json
 import os
 from pathlib import Path
-from xml.sax.saxutils import escape
 
 import cv2
 import numpy as np
-from pyproj import CRS
 
 from geoaim.aim.aim import AIM
 from geoaim.aim.rectification import rectify
@@ -21,9 +19,6 @@ from geoaim.aim.texture_files import (
 )
 from geoaim.base.checksums import PLACEHOLDER, write_checksum
 from geoaim.base.files import atomic_write, check_not_foreign, lock_folder
-from geoaim.base.geometry import translation
-
-PLACE_FILES = ("texture.pgw", "texture.png.aux.xml")  # by which GIS programs place the picture
 
 
 def export_texture(
@@ -71,22 +66,6 @@ def export_texture(
     with lock_folder(folder, wait=True):
         check_not_foreign(Path(folder) / FRAME_FILE)
         _write_pair(Path(folder), frame, png.tobytes())
-        _write_place(Path(folder), aim)
-
-
-def _write_place(folder: Path, aim: AIM) -> None:
-    """Write the world file and GDAL's .aux.xml, which place the picture in GIS programs."""
-    crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
-    first = (crs_from_image @ [0.5, 0.5, 1.0])[:2]  # world files place the first pixel's centre
-    numbers = [*crs_from_image[:2, :2].T.flat, *first]
-    crs = "" if aim.world.crs is None else CRS(aim.world.crs).to_wkt()
-    system = f"  <SRS>{escape(crs)}</SRS>\n" if crs else ""
-    steps = ", ".join(repr(float(value)) for value in crs_from_image[:2, [2, 0, 1]].flat)
-    side = f"<PAMDataset>\n{system}  <GeoTransform>{steps}</GeoTransform>\n</PAMDataset>\n"
-    texts = "".join(f"{float(number)!r}\n" for number in numbers), side
-    for name, text in zip(PLACE_FILES, texts, strict=True):
-        with atomic_write(folder / name, shared=True) as part:
-            part.write_text(text, "utf-8")
 
 
 def _write_pair(folder: Path, frame: dict[str, object], png: bytes) -> None:
@@ -98,8 +77,6 @@ def _write_pair(folder: Path, frame: dict[str, object], png: bytes) -> None:
     spare = f"{Path(PICTURE_FILE).stem}-{hash_picture(png):.8}.png"
     is_new = not (folder / FRAME_FILE).exists()
     try:
-        for name in PLACE_FILES:  # a kill leaves none, rather than those of an older picture
-            (folder / name).unlink(missing_ok=True)
         for name in (PICTURE_FILE,) if is_new else (spare, PICTURE_FILE):
             with atomic_write(folder / name, shared=True) as part:
                 part.write_bytes(png)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rasterio.enums import ColorInterp
 
 from geoaim.aim.aim import AIM
-from geoaim.aim.files import read_aim, write_aim, write_rgb
+from geoaim.aim.files import read_aim, write_aim
 from geoaim.aim.rectification import rectify
 from geoaim.base.errors import AimError
 from geoaim.base.geometry import transform_points
@@ -257,17 +257,3 @@ def test_full_disk_is_an_error_and_leaves_no_file(tmp_path):
     assert "AimError" in found.stderr
     assert "could not be written" in found.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_rio_tiler_renders_the_picture_of_three_bands(tmp_path):
-    io = pytest.importorskip("rio_tiler.io")
-    image = np.full((64, 48, 3), 90, np.uint8)
-    place = np.diag([0.1, -0.1, 1.0])
-    aim = AIM.from_image(image, place, World("EPSG:32635", (5e5, 5.97e6)), "test")
-    aim.coverage[:20] = 0
-    write_rgb(aim, tmp_path / "rgb.tif")
-    with io.Reader(tmp_path / "rgb.tif") as reader:
-        preview = reader.preview()
-    assert preview.render().startswith(b"\x89PNG")
-    assert preview.data.shape == (3, 64, 48)
-    np.testing.assert_array_equal(preview.mask > 0, aim.coverage > 0)
