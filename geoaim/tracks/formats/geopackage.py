@@ -1,7 +1,6 @@
 """Tracks in a GeoPackage (OGC 12-128r18), which QGIS and other programs show on a map.
 
-The layer `states` has a point for each agent and time, the layer `paths` a line for each agent;
-`layer_styles` is the table in which QGIS looks for the style of a layer.
+The layer `states` has a point for each agent and time, the layer `paths` a line for each agent.
 """
 
 import json
@@ -22,7 +21,6 @@ from geoaim.base.limits import check_memory, open_sqlite, refuse_damaged
 from geoaim.base.world import World
 from geoaim.tracks.files import choose_own_world, place_rows
 from geoaim.tracks.formats.shared import TrackFormat
-from geoaim.tracks.qgis_style import make_qml
 from geoaim.tracks.tables import make_tracks
 from geoaim.tracks.tracks import COLUMNS, Tracks
 
@@ -86,7 +84,6 @@ def write_geopackage(
                     layer_options=options,
                     gdal_tz_offsets={CLOCK: np.full(len(table), UTC)} if CLOCK in table else None,
                 )
-            _write_style(pyogrio, temporary, tracks)
         finally:
             pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
 
@@ -191,33 +188,6 @@ def _check_tables(path: Path) -> None:
         (count,) = database.execute("SELECT count(*) FROM states").fetchone()
     # 1000 bytes of memory for a row
     check_memory(path, count * 1000, path.stat().st_size, TracksError, f"{count} rows")
-
-
-def _write_style(pyogrio: ModuleType, path: Path, tracks: Tracks) -> None:
-    """Write the table `layer_styles`, with a style that QGIS takes for `states` unasked."""
-    step = float(np.median(np.diff(tracks.times))) if len(tracks.times) > 1 else 1.0
-    texts = {
-        "f_table_catalog": "",
-        "f_table_schema": "",
-        "f_table_name": "states",
-        "f_geometry_column": "geom",
-        "styleName": "agents",
-        "styleQML": make_qml(tracks.types, CLOCK, step),
-        "styleSLD": "",
-        "description": "by type, turned by heading, as long as the agent, played by date",
-        "owner": "",
-        "update_time": DATE,
-    }
-    values = [np.array([text], object) for text in texts.values()]
-    pyogrio.raw.write(
-        path,
-        None,
-        [*values, np.array([True])],
-        [*texts, "useAsDefault"],
-        layer="layer_styles",
-        geometry_type=None,
-        driver="GPKG",
-    )
 
 
 def _read_origin(info: dict[str, Any]) -> tuple[float, float] | None:
