@@ -19,8 +19,14 @@ def draw_fronts(
 ) -> Figure:
     """Draw error against cost with the Pareto front, a panel for each group of methods.
 
-    `panels`: rows by title, each with "method"; names that begin with "geoaim" are ours; `labels`:
-    labels of the two axes. Returns the chart, with logarithmic axes.
+    Args:
+        panels: rows by title, each with "method"; names that begin with "geoaim" are ours.
+        cost: key of the cost.
+        error: key of the error.
+        labels: labels of the two axes.
+
+    Returns:
+        The chart, with logarithmic axes.
     """
     columns = 2 if len(panels) == 4 else min(len(panels), 3)
     lines = -(-len(panels) // columns)
@@ -50,9 +56,12 @@ def draw_fronts(
 def draw_sizes(rows: Sequence[Row], labels: Mapping[str, str]) -> Figure:
     """Draw the error and the time of each setting against its size; mark default and knee.
 
-    `rows`: the rows that `summarise_sizes` takes, with their times as "ms"; `labels`: labels of the
-    error axis, by the name of the setting. Returns the chart: a column for each setting, error
-    above time.
+    Args:
+        rows: the rows that `summarise_sizes` takes, with their times as "ms".
+        labels: labels of the error axis, by the name of the setting.
+
+    Returns:
+        The chart: a column for each setting, error above time.
     """
     figure = Figure(figsize=(3.4 * len(labels) + 0.4, 5.4), layout="constrained")
     grid = figure.subplots(2, len(labels), squeeze=False, sharex="col")

@@ -57,8 +57,12 @@ def find_best_size(rows: Sequence[Row]) -> Row:
 def summarise_sizes(rows: Sequence[Row]) -> list[Row]:
     """Compare the default of each setting with the knee of its sizes.
 
-    `rows`: rows with "setting", "size", "error", "cost" and "default" (whether it is the default);
-    rows marked "automatic" are not compared as sizes.
+    Args:
+        rows: rows with "setting", "size", "error", "cost" and "default" (whether it is the
+            default); rows marked "automatic" are not compared as sizes.
+
+    Returns:
+        A row for each setting.
     """
     found: list[Row] = []
     for name in dict.fromkeys(row["setting"] for row in rows):
@@ -84,10 +88,13 @@ def summarise_sizes(rows: Sequence[Row]) -> list[Row]:
 def judge_choices(cases: Sequence[Row], tolerance: float) -> dict[str, Any]:
     """Compare an automatic choice with the best one, found afterwards, and with the most complex.
 
-    `cases`: cases with "errors" and "sizes" of all choices, the most complex last, and the "error"
-    and "size" of the automatic one; `tolerance`: an error may always exceed the best one by this
-    much, in its unit. Returns a row: shares of the cases within 5 % of the best error, and mean
-    sizes.
+    Args:
+        cases: cases with "errors" and "sizes" of all choices, the most complex last, and the
+            "error" and "size" of the automatic one.
+        tolerance: an error may always exceed the best one by this much, in its unit.
+
+    Returns:
+        A row: shares of the cases within 5 % of the best error, and mean sizes.
     """
     errors, sizes, own, size = (
         np.array([case[key] for case in cases], float)
@@ -126,7 +133,13 @@ def mark_pareto_fronts(
 ) -> list[dict[str, Any]]:
     """Copy the rows, adding the dataset's name and whether the method is Pareto-optimal in it.
 
-    Returns the rows, with the keys "data" and "on the front" ("yes" or "no").
+    Args:
+        groups: the rows of each dataset, one for each method, by the dataset's name.
+        cost: key of the cost.
+        error: key of the error.
+
+    Returns:
+        The rows, with the keys "data" and "on the front" ("yes" or "no").
     """
     marked = []
     for name, rows in groups.items():

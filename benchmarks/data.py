@@ -28,7 +28,11 @@ def find_data() -> Path | None:
 def require_data(name: str = ".") -> Path:
     """Return a folder of the real data.
 
-    `name`: its path below the folder that GEOAIM_DATA names; ".": that folder itself.
+    Args:
+        name: its path below the folder that GEOAIM_DATA names; ".": that folder itself.
+
+    Returns:
+        The path, which is a folder.
 
     Raises:
         TracksError: GEOAIM_DATA is not set, or there is no such folder below it.

@@ -75,12 +75,18 @@ def make_hover_video(
 ) -> HoverVideo:
     """Render a hover video over one of the stills, with moving cars in place of its own.
 
-    `still`: "00003" or "00972"; `size`: "720p", "1080p" or "4k"; drift and tilt grow with it;
-    `count`: number of frames, at 30 frames/s; `kind`: "plain" (60 cars and a queue that leaves),
-    "queue" (traffic over a fifth of the frame, queues standing for 60 % of the time), "cars" (300),
-    "shadow" (x0.15 over half of the frame, moving), "gain" (x3 in the middle third), "cut" (the
-    last third shows the other still), "noise" (a fifth of the frames). Returns the video with its
-    truth.
+    Args:
+        still: "00003" or "00972".
+        size: "720p", "1080p" or "4k"; drift and tilt grow with it.
+        count: number of frames, at 30 frames/s.
+        kind: "plain" (60 cars and a queue that leaves), "queue" (traffic over a fifth of the
+            frame, queues standing for 60 % of the time), "cars" (300), "shadow" (x0.15 over
+            half of the frame, moving), "gain" (x3 in the middle third), "cut" (the last third
+            shows the other still), "noise" (a fifth of the frames).
+        seed: random seed.
+
+    Returns:
+        The video with its truth.
 
     Raises:
         TracksError: the folder of real data does not hold the stills.
@@ -107,8 +113,13 @@ def make_hover_video(
 def film_place(kind: PlaceKind, *, size: str, count: int) -> HoverVideo:
     """Render a hover video over a drawn place with its traffic, which needs no real data.
 
-    `size`: "720p", "1080p" or "4k"; drift grows with it; `count`: number of frames, at 30 frames/s.
-    Returns the video with its truth.
+    Args:
+        kind: kind of the place.
+        size: "720p", "1080p" or "4k"; drift grows with it.
+        count: number of frames, at 30 frames/s.
+
+    Returns:
+        The video with its truth.
     """
     hover = _make_hover(size, count)
     minutes = max(count / hover.frame_rate / 60, 1 / 60) + 1e-6
@@ -129,7 +140,13 @@ def _make_hover(size: str, count: int) -> Hover:
 def film_ground(ground: UInt8[Array, "H W 3"], hover: Hover, seed: int) -> HoverVideo:
     """Render a hover video of 720p over ground without traffic.
 
-    Returns the video with its truth.
+    Args:
+        ground: the still.
+        hover: the camera.
+        seed: random seed.
+
+    Returns:
+        The video with its truth.
     """
     none = SpriteTracks((), np.empty((0, 2)), np.empty((hover.count, 0, 3)))
     height, width = VIDEOS["720p"]
@@ -143,9 +160,15 @@ def make_lane_traffic(
 ) -> SpriteTracks:
     """Drive cars along the still's lanes: platoons, and queues that stop for 60 % of the clip.
 
-    `still`: "00003" or "00972"; `hover`: the camera, for the number and rate of the frames;
-    `moving`: number of cars in platoons; `queue`: number of cars in each queue. Returns the cars'
-    sprites, sizes and poses (T, N, 3) in pixels of the still.
+    Args:
+        still: "00003" or "00972".
+        hover: the camera, for the number and rate of the frames.
+        moving: number of cars in platoons.
+        queue: number of cars in each queue.
+        generator: source of randomness.
+
+    Returns:
+        The cars' sprites, sizes and poses (T, N, 3) in pixels of the still.
     """
     times = np.arange(hover.count) / hover.frame_rate
     lanes = [smooth_lane(lane) for lane in _LANES[still]]

@@ -123,7 +123,13 @@ def _measure_lengths(clip: Path) -> Iterator[dict[str, Any]]:
 def repeat_packets(clip: Path, path: Path, duration: float) -> Path:
     """Repeat the packets of a clip without decoding them.
 
-    `duration`: duration of the video to write, seconds.
+    Args:
+        clip: video to repeat.
+        path: video to write.
+        duration: duration of the video to write, seconds.
+
+    Returns:
+        `path`.
     """
     with av.open(str(path), "w") as out:
         copied: Any = None

@@ -97,8 +97,13 @@ def time_medians(
 ) -> list[float]:
     """Time functions in turn, after one warm-up round.
 
-    `clock`: gives seconds; `time.process_time` counts processor time only. Returns the median
-    duration of each, seconds.
+    Args:
+        parts: the functions.
+        repeats: number of rounds.
+        clock: gives seconds; `time.process_time` counts processor time only.
+
+    Returns:
+        The median duration of each, seconds.
     """
     durations: list[list[float]] = [[] for _ in parts]
     for _ in range(repeats + 1):
@@ -134,8 +139,14 @@ def collect(
 ) -> list[Row]:
     """Collect the rows of a table, and report progress after each.
 
-    `stage`: the name that the progress shows, such as "settings"; `total`: number of rows, if it is
-    known.
+    Args:
+        measured: the rows.
+        stage: the name that the progress shows, such as "settings".
+        progress: called with the stage, the number of rows done, and their total.
+        total: number of rows, if it is known.
+
+    Returns:
+        The rows.
     """
     rows: list[Row] = []
     progress(stage, 0, total)
@@ -148,8 +159,11 @@ def collect(
 def write_rows(rows: Sequence[Row], path: Path | None, *, command: str, **settings: Any) -> None:
     """Write rows as JSON, with the machine and the command that made them.
 
-    `path`: JSON file to write; None writes nothing; `command`: the command that makes the rows;
-    `settings`: what else a reader must know.
+    Args:
+        rows: rows of a table.
+        path: JSON file to write; None writes nothing.
+        command: the command that makes the rows.
+        settings: what else a reader must know.
     """
     if path is None:
         return
@@ -160,7 +174,14 @@ def write_rows(rows: Sequence[Row], path: Path | None, *, command: str, **settin
 def write_results(results: Results, folder: Path, name: str, command: str) -> list[Path]:
     """Write the results of a benchmark: NAME.json, NAME.md, and NAME-CHART.svg and .png.
 
-    `name`: how the files' names begin; `command`: the command that measured it.
+    Args:
+        results: what was measured.
+        folder: the folder to write to.
+        name: how the files' names begin.
+        command: the command that measured it.
+
+    Returns:
+        The files.
     """
     machine = describe_machine()
     paths = [folder / f"{name}.json", folder / f"{name}.md"]

@@ -36,7 +36,12 @@ CHOICES: tuple[FrameCount, ...] = ("auto", "all")
 def measure_clip(path: Path, truth: UInt8[Array, "H W 3"]) -> Iterator[Row]:
     """Measure `build_aim` on a clip: its cost, also over that of decoding, and the map's error.
 
-    `truth`: the ground in its first frame. Yields a row for each choice of frames.
+    Args:
+        path: the clip.
+        truth: (H, W, 3) the ground in its first frame.
+
+    Yields:
+        A row for each choice of frames.
     """
     limit = _measure_processor(decode, path)[0]
     for frames in CHOICES:

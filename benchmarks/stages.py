@@ -17,8 +17,12 @@ Measure = Callable[[bool, Progress], Results]  # takes whether to be quick, and 
 def make_main(stage: str, measure: Measure) -> Callable[..., None]:
     """Make the command of a stage.
 
-    `stage`: the last part of the module's name, and the name of the files. Returns a function that
-    typer runs.
+    Args:
+        stage: the last part of the module's name, and the name of the files.
+        measure: measures the stage.
+
+    Returns:
+        A function that typer runs.
     """
 
     def main(

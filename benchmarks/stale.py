@@ -45,7 +45,8 @@ STAGES = {
 def list_stale() -> Iterator[tuple[str, str, str]]:
     """List results that are out of date.
 
-    Yields the result's file, the command that makes it, and why it is out of date.
+    Yields:
+        The result's file, the command that makes it, and why it is out of date.
     """
     for folder in RESULTS:
         for path in sorted((ROOT / folder).glob("*.json")):

@@ -32,7 +32,12 @@ AXES = ("ms of a processor a frame", "RMSE where queues stood, grey levels")
 def measure_backgrounds(quick: bool, progress: Progress) -> Results:
     """Measure other methods where queues stand, and how many frames a background needs.
 
-    `quick`: whether to take one drawn clip.
+    Args:
+        quick: whether to take one drawn clip.
+        progress: called with what is measured, what is done and all there is.
+
+    Returns:
+        Tables and charts.
     """
     cv2.setNumThreads(1)
     data = find_data()
@@ -67,8 +72,12 @@ def _measure_clips(quick: bool, real: bool) -> Iterator[dict[str, Any]]:
 def measure_counts(quick: bool, real: bool) -> Iterator[dict[str, Any]]:
     """Build maps of clips from fixed numbers of frames and from the automatic one.
 
-    `quick`: whether to build one clip; `real`: whether there are real data. Yields cases as
-    `judge_choices` takes them; errors are over the whole image.
+    Args:
+        quick: whether to build one clip.
+        real: whether there are real data.
+
+    Yields:
+        Cases as `judge_choices` takes them; errors are over the whole image.
     """
     places = ("minsk_junction", "munich_street02") if real and not quick else ()
     for place, standing in product((*places, None), SHARES[-1:] if quick else SHARES):

@@ -21,8 +21,13 @@ PAINTS = np.array(
 def draw_queue(*, standing: float, seed: int, count: int = 32) -> QueueClip:
     """Draw a road with its queue: asphalt, markings, verges, cars with windows and shadows.
 
-    `standing`: share of the time that the queues stand; their cars start one after another. Returns
-    the clip. Queues stand in three lanes of six.
+    Args:
+        standing: share of the time that the queues stand; their cars start one after another.
+        seed: random seed, also of the road's direction.
+        count: number of frames.
+
+    Returns:
+        The clip. Queues stand in three lanes of six.
     """
     generator = np.random.default_rng([seed, 2])
     angle = generator.uniform(0, np.pi)

@@ -108,7 +108,8 @@ def compute_masked_median(
 ) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"], Bool[Array, "H W"]]:
     """Compute the median of the frames outside of boxes.
 
-    Returns the median, where enough frames show it, and where some frame has a box.
+    Returns:
+        The median, where enough frames show it, and where some frame has a box.
     """
     size = scene.road.shape
     exposure = start_exposure(size)
@@ -143,8 +144,13 @@ def find_unmarked_errors(
 ) -> Bool[Array, "H W"]:
     """Find pixels that differ by over 8 grey levels over 3 x 3 pixels and are not contested.
 
-    `median`: what it is compared with; `where`: pixels that count. Returns the pixels that a user
-    would take for ground.
+    Args:
+        ground: the background.
+        median: (H, W, 3) what it is compared with.
+        where: (H, W) pixels that count.
+
+    Returns:
+        (H, W) the pixels that a user would take for ground.
     """
     first, second = (_average_nearby(image) for image in (ground.image, median))
     differs = np.abs(first - second) > DIFFERENT
@@ -161,8 +167,13 @@ def cut_worst(
 ) -> UInt8[Array, "h w 3"]:
     """Cut out where most of the missed pixels are: the median, the background, and it marked.
 
-    `missed`: pixels that differ and are not contested. Returns the crops side by side; contested
-    pixels are magenta, missed ones red.
+    Args:
+        median: (H, W, 3) the median.
+        ground: the background.
+        missed: (H, W) pixels that differ and are not contested.
+
+    Returns:
+        (h, w, 3) the crops side by side; contested pixels are magenta, missed ones red.
     """
     near = cv2.boxFilter(missed.astype(np.float32), -1, (CROP_PX, CROP_PX), normalize=False)
     middle = np.unravel_index(near.argmax(), near.shape)
@@ -213,7 +224,13 @@ def measure_rms(
 ) -> float:
     """Measure the root mean square difference of two images.
 
-    `where`: pixels that count. Returns grey levels; NaN where no pixel counts.
+    Args:
+        one: (H, W, 3) an image.
+        other: (H, W, 3) the other.
+        where: (H, W) pixels that count.
+
+    Returns:
+        Grey levels; NaN where no pixel counts.
     """
     if not where.any():
         return np.nan

@@ -73,7 +73,12 @@ def film_queue(still: str, seed: int) -> QueueClip:
 def make_clips(quick: bool, *, real: bool) -> Iterator[tuple[str, int, QueueClip]]:
     """Make the clips: drawn ones, and where there are real data, pasted and filmed ones.
 
-    `quick`: whether to draw a single one; `real`: whether there are real data.
+    Args:
+        quick: whether to draw a single one.
+        real: whether there are real data.
+
+    Yields:
+        Name, seed and clip.
     """
     makers: dict[str, Callable[..., QueueClip]] = {}
     if real and not quick:
@@ -104,8 +109,13 @@ def _search_traffic(clip: QueueClip) -> Background:
 def damage_boxes(detections: Detections, *, missing: float = 0.0, scale: float = 1.0) -> Detections:
     """Make detections worse.
 
-    `missing`: share of them that is left out at random, frame by frame; `scale`: size of the
-    others, relative to what it was. Returns the boxes that are left.
+    Args:
+        detections: the boxes.
+        missing: share of them that is left out at random, frame by frame.
+        scale: size of the others, relative to what it was.
+
+    Returns:
+        The boxes that are left.
     """
 
     def damage(frame: Frame) -> DetectedBoxes | None:
@@ -231,8 +241,13 @@ def measure_gradient_energy(image: Array, clip: QueueClip, where: Bool[Array, "H
 
     Both are correlated with the gradients of the truth, so that their noise does not count.
 
-    `clip`: a clip, whose first frame is the reference; `where`: pixels that count. Returns the
-    ratio; 1 where the image is as sharp as the frame.
+    Args:
+        image: (H, W, 3) the background.
+        clip: a clip, whose first frame is the reference.
+        where: pixels that count.
+
+    Returns:
+        The ratio; 1 where the image is as sharp as the frame.
     """
     truth = _compute_gradients(clip.ground)[:, where]
     mean, single = (

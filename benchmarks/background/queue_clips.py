@@ -26,10 +26,16 @@ class QueueClip:
 def paste_queue(place: str, *, standing: float, seed: int, count: int = 32) -> QueueClip:
     """Make a clip of queues: real cars, pasted on a picture of the place where they were filmed.
 
-    `place`: a folder of the data folder's `hover` with a box file for each frame, such as
-    "minsk_junction"; `standing`: share of the time, from the start, in which the queues stand.
-    Returns the clip. Two queues stand across the image, a third from its top to its bottom; other
-    cars pass.
+    Args:
+        place: a folder of the data folder's `hover` with a box file for each frame, such as
+            "minsk_junction".
+        standing: share of the time, from the start, in which the queues stand.
+        seed: random seed.
+        count: number of frames.
+
+    Returns:
+        The clip. Two queues stand across the image, a third from its top to its bottom; other cars
+        pass.
     """
     generator = np.random.default_rng([seed, 1])
     ground, sprites = cut_place(place)

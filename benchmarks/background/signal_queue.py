@@ -27,8 +27,15 @@ LENGTH_SHARES = (0.2, 0.35, 0.25, 0.12, 0.08)
 def film_signal(*, standing: float, seed: int, count: int = 40, speed: float = 14.0) -> QueueClip:
     """Film five lanes, of which three stop at red.
 
-    `standing`: share of the time that the signal is red, in the middle of the clip; `speed`: pixels
-    a second of the traffic that moves; at 9 it crawls, so that the ground is hardly ever bare.
+    Args:
+        standing: share of the time that the signal is red, in the middle of the clip.
+        seed: random seed.
+        count: number of frames.
+        speed: pixels a second of the traffic that moves; at 9 it crawls, so that the ground is
+            hardly ever bare.
+
+    Returns:
+        The clip.
     """
     generator = np.random.default_rng([seed, 3])
     ground = _paint_ground(generator)

@@ -30,7 +30,12 @@ AXES = ("ms of a processor", "median error at the corners, px")
 def measure_georeference(quick: bool, progress: Progress) -> Results:
     """Measure errors and refusals by noise and number of points, rivals, and transform models.
 
-    `quick`: whether to take few points, sets and cases.
+    Args:
+        quick: whether to take few points, sets and cases.
+        progress: called with what is measured, what is done and all there is.
+
+    Returns:
+        Tables and charts.
     """
     trials = QUICK_TRIALS if quick else TRIALS
     counts = QUICK_COUNTS if quick else COUNTS

@@ -42,7 +42,13 @@ CORNERS = image_corners(HEIGHT, WIDTH)
 def fit_rival(name: str, points: ControlPoints, places: Float[Array, "k 2"]) -> Points:
     """Place pixels on the ground by a rival's transform.
 
-    Returns (K, 2) metres.
+    Args:
+        name: one of RIVALS.
+        points: the control points.
+        places: (K, 2) pixels to place.
+
+    Returns:
+        (K, 2) metres.
     """
     if name == "plain homography":
         return transform_points(cv2.findHomography(points.pixels, points.coordinates)[0], places)
@@ -89,8 +95,12 @@ METHODS: list[Method] = [_place_own, *(partial(_place_rival, name) for name in R
 def measure_sets(sets: Sequence[PointSet], methods: Sequence[Method]) -> pd.DataFrame:
     """Measure methods on the sets of points that none of them refuses.
 
-    `methods`: each places the image's corners, by one name or several. Returns a row for each name,
-    set and corner: error and stated 95 % region in px, processor time.
+    Args:
+        sets: sets of control points.
+        methods: each places the image's corners, by one name or several.
+
+    Returns:
+        A row for each name, set and corner: error and stated 95 % region in px, processor time.
     """
     rows: list[dict[str, Any]] = []
     for number, one in enumerate(sets):
@@ -116,8 +126,15 @@ def measure_sets(sets: Sequence[PointSet], methods: Sequence[Method]) -> pd.Data
 def measure_row(noise: str, count: int, trials: int, seed: int = SEED) -> dict[str, Any]:
     """Measure one row of the table, at the image's corners.
 
-    Returns percentage of sets that are refused; of the others the percentage of corners in the
-    stated 95 % region, how many times too wide that is in the median, and median errors and times.
+    Args:
+        noise: one of NOISES.
+        count: number of points.
+        trials: sets of points.
+        seed: random seed.
+
+    Returns:
+        Percentage of sets that are refused; of the others the percentage of corners in the stated
+        95 % region, how many times too wide that is in the median, and median errors and times.
     """
     corners = measure_sets(draw_sets(noise, count, trials, seed), METHODS)
     own = corners[corners.method == "geoaim"]

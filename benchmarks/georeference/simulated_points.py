@@ -73,9 +73,14 @@ def make_pinhole_camera(
 ) -> Camera:
     """Make a pinhole camera of random focal length, height, heading and direction of tilt.
 
-    `tilt`: angle between the optical axis and the vertical, degrees; `lens`: radial distortion,
-    OpenCV's k1 and k2; `aspect`: focal length in pixel heights over that in pixel widths. Returns
-    the transform of pixels to metres on the ground, and the metres per pixel without tilt.
+    Args:
+        tilt: angle between the optical axis and the vertical, degrees.
+        lens: radial distortion, OpenCV's k1 and k2.
+        aspect: focal length in pixel heights over that in pixel widths.
+        generator: source of randomness.
+
+    Returns:
+        The transform of pixels to metres on the ground, and the metres per pixel without tilt.
     """
     focal = WIDTH / 2.0 / np.tan(np.radians(generator.uniform(25.0, 42.0)))
     distortion = np.array([*lens, 0.0, 0.0])
@@ -100,7 +105,14 @@ CAMERAS = (sample_terms_camera, sample_pinhole_camera)
 def draw_sets(noise: str, count: int, trials: int, seed: int) -> list[PointSet]:
     """Draw sets of control points from both cameras in turn, in all layouts.
 
-    `noise`: one of NOISES, of an unknown size in NOISE_PX.
+    Args:
+        noise: one of NOISES, of an unknown size in NOISE_PX.
+        count: number of points.
+        trials: number of sets.
+        seed: random seed.
+
+    Returns:
+        The sets.
     """
     generator = np.random.default_rng([seed, count, NOISES.index(noise)])
     sets = []
@@ -121,8 +133,15 @@ def pick_points(
 ) -> PointSet:
     """Pick control points on an image.
 
-    `size`: number of points, and standard deviation of the noise in pixels. Returns the points with
-    their truth.
+    Args:
+        camera: the camera.
+        layout: one of LAYOUTS.
+        noise: one of NOISES.
+        size: number of points, and standard deviation of the noise in pixels.
+        generator: source of randomness.
+
+    Returns:
+        The points with their truth.
     """
     transform, resolution = camera
     count, sigma = size

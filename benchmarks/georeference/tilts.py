@@ -39,9 +39,14 @@ def measure_tilts(
 ) -> Iterator[Row]:
     """Measure sets of points by tilt, layout and number, with right ones and with one wrong.
 
-    `trials`: sets of points in each cell; `tilts`: angles between the optical axis and the
-    vertical, degrees. Yields a row for each number of points, right or one wrong, and tilt, over
-    all layouts.
+    Args:
+        trials: sets of points in each cell.
+        tilts: angles between the optical axis and the vertical, degrees.
+        counts: numbers of points.
+        seed: random seed.
+
+    Yields:
+        A row for each number of points, right or one wrong, and tilt, over all layouts.
     """
     for wrong, count, tilt in product((False, True), counts, tilts):
         generator = np.random.default_rng([seed, int(tilt), count, wrong])
@@ -89,10 +94,15 @@ def judge_set(
 ) -> tuple[bool, float, float, float] | None:
     """Compare a georeference with a plain homography of the points that are right.
 
-    `truth`: places of `PLACES` on the ground, metres; `right`: the points that the homography is
-    given. Returns whether its error is over `WORSE` times the homography's and outside its
-    statement, the share of places inside the stated 95 % region, error over the homography's, and
-    statement over error; None if the points are refused.
+    Args:
+        points: control points as picked.
+        truth: places of `PLACES` on the ground, metres.
+        right: the points that the homography is given.
+
+    Returns:
+        Whether its error is over `WORSE` times the homography's and outside its statement, the
+        share of places inside the stated 95 % region, error over the homography's, and statement
+        over error; None if the points are refused.
     """
     plain = cv2.findHomography(points.pixels[right], points.coordinates[right])[0]
     rival = _average(transform_points(plain, PLACES) - truth)
@@ -117,7 +127,8 @@ def draw_tilted_set(
 ) -> tuple[ControlPoints, Points]:
     """Pick points on a tilted pinhole camera's image; the first is wrong if `wrong`.
 
-    Returns the points, and the places of `PLACES` on the ground, metres.
+    Returns:
+        The points, and the places of `PLACES` on the ground, metres.
     """
     transform, _ = make_pinhole_camera(tilt, np.zeros(2), 1.0, generator)
     pixels = _lay_out(layout, count, generator)

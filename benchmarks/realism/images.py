@@ -20,7 +20,11 @@ WINDOW = 256  # px, side of the squares whose spectra are measured
 def sample_statistics(image: UInt8[Array, "H W 3"]) -> Statistics:
     """Sample image statistics that differ between rendered and real images.
 
-    `image`: RGB of `RESOLUTION` metres per pixel. Returns a 1-D sample for each name:
+    Args:
+        image: (H, W, 3) RGB of `RESOLUTION` metres per pixel.
+
+    Returns:
+        A 1-D sample for each name:
 
         - "grey level" and "colourfulness" (distance from grey in Lab): at the same 40,000 pixels,
           or all of a smaller image.

@@ -31,7 +31,14 @@ Scene = tuple[View, Float[Tensor, "B 3"], OrientedBoxes]
 def make_scene(pixels: int, views: int, agents: int = AGENTS, *, seed: int = 1) -> Scene:
     """Make random views of 100 m a side, and cars with triangles around each.
 
-    Returns the view, (B, 3) cameras and (B, A) boxes.
+    Args:
+        pixels: side of a view.
+        views: number of cameras.
+        agents: boxes in each view.
+        seed: seed of the places.
+
+    Returns:
+        The view, (B, 3) cameras and (B, A) boxes.
     """
     generator = torch.Generator().manual_seed(seed)
     random = torch.rand(views, agents + 1, 6, generator=generator, dtype=torch.float64).float()
@@ -47,8 +54,13 @@ def make_scene(pixels: int, views: int, agents: int = AGENTS, *, seed: int = 1) 
 def time_maps(pixels: int, repeats: int, side: int = 1024) -> dict[str, Any]:
     """Time views of as many maps beside views of one map, processor time, one thread.
 
-    `pixels`: side of a view; `repeats`: repetitions of each timing; the median counts; `side`: side
-    of a map, pixels. Returns a row of the table.
+    Args:
+        pixels: side of a view.
+        repeats: repetitions of each timing; the median counts.
+        side: side of a map, pixels.
+
+    Returns:
+        A row of the table.
     """
     view, cameras, boxes = make_scene(pixels, VIEWS)
     scale, middle = side / (2 * VIEW_SIDE_M), side / 2
@@ -75,8 +87,13 @@ def time_maps(pixels: int, repeats: int, side: int = 1024) -> dict[str, Any]:
 def time_threads(ground: Ground, pixels: int, repeats: int) -> dict[str, Any]:
     """Time one thread beside two, wall time: free cores are needed.
 
-    `pixels`: side of a view; `repeats`: repetitions of each timing; the median counts. Returns a
-    row of the table.
+    Args:
+        ground: the map.
+        pixels: side of a view.
+        repeats: repetitions of each timing; the median counts.
+
+    Returns:
+        A row of the table.
     """
     view, cameras, boxes = make_scene(pixels, VIEWS)
     ground = prefilter_ground(ground, view.resolution)
@@ -104,7 +121,13 @@ def time_threads(ground: Ground, pixels: int, repeats: int) -> dict[str, Any]:
 def time_stack(ground: Ground, count: int, repeats: int) -> dict[str, Any]:
     """Time boxes of 80 px on one spot beside a single one, processor time, one thread.
 
-    `repeats`: repetitions of each timing; the median counts. Returns a row of the table.
+    Args:
+        ground: the map.
+        count: number of boxes.
+        repeats: repetitions of each timing; the median counts.
+
+    Returns:
+        A row of the table.
     """
     view, cameras, _ = make_scene(256, 1)
     ground = prefilter_ground(ground, view.resolution)

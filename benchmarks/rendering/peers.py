@@ -29,8 +29,13 @@ def crop_texture(ground: Ground) -> Float[Tensor, "1 3 h w"]:
 def make_sampling_grid(view: View, cameras: Tensor, ground: Ground) -> Tensor:
     """Make the positions of the pixels of all views in the texture, for `grid_sample`.
 
-    `view`: size and resolution of the pictures; `cameras`: (B, 3) x, y in metres and heading in
-    radians; `ground`: the texture, whose border is left out. Returns (1, B H, W, 2) from -1 to 1.
+    Args:
+        view: size and resolution of the pictures.
+        cameras: (B, 3) x, y in metres and heading in radians.
+        ground: the texture, whose border is left out.
+
+    Returns:
+        (1, B H, W, 2) from -1 to 1.
     """
     corners = torch.tensor([[-1.0, 1.0]]) * view.width * view.resolution / 2
     c, s = cameras[:, 2].cos(), cameras[:, 2].sin()
@@ -119,7 +124,14 @@ def supersample(
     The points are a Fibonacci lattice, which has no row or column of points along an edge.
     The covered share of a pixel comes out several times closer than by a square grid.
 
-    `view`: size and resolution of the pictures.
+    Args:
+        view: size and resolution of the pictures.
+        cameras: (B, 3) x, y, heading.
+        ground: the map.
+        boxes: boxes in paint order.
+
+    Returns:
+        (B, C, H, W).
     """
     rows, columns = (torch.arange(n).to(cameras) - (n - 1) / 2 for n in (view.height, view.width))
     ahead, right = -rows[:, None] * view.resolution, columns * view.resolution

@@ -71,9 +71,14 @@ def _render(pixels: int, views: int, backward: bool) -> Callable[[], Tensor]:
 def measure(pixels: int, backward: bool, repeats: int, threads: int = 1) -> list[dict[str, float]]:
     """Measure processor time and memory of batches, from the smallest to the largest.
 
-    `pixels`: side of a view; `backward`: whether gradients are computed too; `repeats`:
-    repetitions; the median counts. Returns for each of `BATCHES` milliseconds, and megabytes beyond
-    those before the first picture.
+    Args:
+        pixels: side of a view.
+        backward: whether gradients are computed too.
+        repeats: repetitions; the median counts.
+        threads: threads of torch.
+
+    Returns:
+        For each of `BATCHES` milliseconds, and megabytes beyond those before the first picture.
     """
     torch.set_num_threads(threads)
     _render(8, 1, backward)()  # what only the first call does

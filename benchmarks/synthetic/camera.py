@@ -85,9 +85,16 @@ def film(
 ) -> HoverClip:
     """Plan a hover video over a still; frames show as much of the still as fits, and nothing else.
 
-    `background`: the still, RGB; `traffic`: agents in pixels of the still, with a step for each
-    frame; `generator`: source of the camera's motion and of the noise. Returns the clip;
-    `render_frame` renders its frames.
+    Args:
+        background: the still, RGB.
+        traffic: agents in pixels of the still, with a step for each frame.
+        hover: the camera.
+        height: rows of a frame.
+        width: columns of a frame.
+        generator: source of the camera's motion and of the noise.
+
+    Returns:
+        The clip; `render_frame` renders its frames.
 
     Raises:
         ValueError: the traffic does not have `hover.count` steps.

@@ -24,8 +24,10 @@ def paste(
 ) -> None:
     """Paste sprites onto an image, in place.
 
-    `image`: RGB; `sprites`: an RGBA picture of each of N agents, seen from above, heading right;
-    `poses`: centre u, v in pixels (corner origin) and heading (radians); NaN if absent.
+    Args:
+        image: RGB.
+        sprites: an RGBA picture of each of N agents, seen from above, heading right.
+        poses: (N, 3) centre u, v in pixels (corner origin) and heading (radians); NaN if absent.
     """
     for sprite, pose in zip(sprites, poses, strict=True):
         if np.isfinite(pose).all():
@@ -49,9 +51,13 @@ def warp_sprite(
 ) -> Iterator[SpritePatch]:
     """Warp a sprite into its window of an image.
 
-    `sprite`: premultiplied colour and alpha, each from `pack`; `frame_from_centred`: sprite pixels
-    around its centre to image pixels; `shape`: height and width of the image. Yields one patch for
-    `blend_patch`; nothing if the sprite lies outside.
+    Args:
+        sprite: premultiplied colour and alpha, each from `pack`.
+        frame_from_centred: (3, 3) sprite pixels around its centre to image pixels.
+        shape: height and width of the image.
+
+    Yields:
+        One patch for `blend_patch`; nothing if the sprite lies outside.
     """
     rows, columns = sprite[0].shape
     frame_from_sprite = frame_from_centred @ translation(-columns / 2, -rows / 2)
@@ -78,8 +84,13 @@ def compute_background_from_sprite(pose: Float[Array, "*n 3"]) -> Float[Array, "
 def compute_image_poses(place: Place, tracks: Tracks, resolution: float) -> Float[Array, "T N 3"]:
     """Compute the agents' poses in the drawn place.
 
-    `tracks`: N agents at T times; `resolution`: metres per pixel of the drawn place. Returns pixels
-    and heading, counter-clockwise as seen.
+    Args:
+        place: the place.
+        tracks: N agents at T times.
+        resolution: metres per pixel of the drawn place.
+
+    Returns:
+        (T, N, 3) pixels and heading, counter-clockwise as seen.
     """
     image_from_world = np.linalg.inv(world_from_image(place, resolution))
     pixels = transform_points(image_from_world, tracks.states[..., :2])
@@ -93,7 +104,13 @@ def draw_agents(
 ) -> tuple[UInt8[Array, "_ _ 4"], ...]:
     """Draw a sprite of each agent, in random colours.
 
-    `resolution`: metres per pixel. Returns RGBA sprites, heading right.
+    Args:
+        tracks: the agents.
+        resolution: metres per pixel.
+        generator: source of randomness.
+
+    Returns:
+        RGBA sprites, heading right.
     """
     sprites = []
     for kind, (length, width) in zip(tracks.types, tracks.sizes.tolist(), strict=True):

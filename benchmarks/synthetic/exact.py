@@ -64,8 +64,14 @@ def warp(
 
     Positions are rounded to 1/256 px; pixels have their origin at the corner.
 
-    `source_from_image`: pixels of the result to pixels of the source. Returns three channels; those
-    that were not packed are 0.
+    Args:
+        words: words made by `pack`.
+        source_from_image: pixels of the result to pixels of the source.
+        height: rows of the result.
+        width: columns of the result.
+
+    Returns:
+        Three channels; those that were not packed are 0.
     """
     image = np.empty((height, width, 3), np.uint8)
     flat = words.ravel()

@@ -29,7 +29,10 @@ def write_sample(
 
     The folder appears when it is complete; a sample that exists is neither replaced nor changed.
 
-    `folder`: a new or empty folder.
+    Args:
+        sample: what is written.
+        folder: a new or empty folder.
+        progress: called with the stage, the number of steps done, and their total.
 
     Raises:
         ValueError: the folder holds files.

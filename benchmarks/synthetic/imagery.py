@@ -62,9 +62,15 @@ def photograph(
 ) -> UInt8[Array, "_ _ 3"]:
     """Photograph a place, with the agents where they are at the first time of the tracks.
 
-    `tracks`: the traffic, in the place's world; `sensor_resolution`: metres per pixel of the photo;
-    `resolution`: metres per pixel at which the place is drawn before the sensor reduces it. Returns
-    RGB image of the whole drawn place, at `sensor_resolution`.
+    Args:
+        place: the place.
+        day: the day.
+        tracks: the traffic, in the place's world.
+        sensor_resolution: metres per pixel of the photo.
+        resolution: metres per pixel at which the place is drawn before the sensor reduces it.
+
+    Returns:
+        RGB image of the whole drawn place, at `sensor_resolution`.
     """
     generator = _make_generator(place, day.number)
     still = draw_place(place, day, resolution=resolution)
@@ -78,9 +84,14 @@ def georeference_photo(
 ) -> Imagery:
     """Resample a photo onto a north-up grid of a CRS, and misplace it.
 
-    `photo`: the result of `photograph`: a photo of the whole drawn place; `crs`: a projected CRS in
-    metres; `offset`: metres east and north by which the stated position is off the true one.
-    Returns the north-up imagery, with the wrong position in its transform.
+    Args:
+        place: the place.
+        photo: the result of `photograph`: a photo of the whole drawn place.
+        crs: a projected CRS in metres.
+        offset: metres east and north by which the stated position is off the true one.
+
+    Returns:
+        The north-up imagery, with the wrong position in its transform.
     """
     rows, columns = photo.shape[:2]
     grid = Grid((rows, columns), world_from_image(place, WIDTH_M / columns))
@@ -110,7 +121,8 @@ def draw_offset(place: Place) -> tuple[float, float]:
 def cut_tiles(imagery: Imagery, zoom: int) -> Iterator[tuple[int, int, UInt8[Array, "T T 3"]]]:
     """Cut imagery in EPSG:3857 into XYZ tiles of 256 px at a zoom level.
 
-    Yields column, row (from the north) and RGB picture, white where there is no imagery.
+    Yields:
+        Column, row (from the north) and RGB picture, white where there is no imagery.
     """
     side = 2 * HALF_WORLD_M / 2**zoom
     corners = transform_points(imagery.crs_from_image, image_corners(*imagery.image.shape[:2]))

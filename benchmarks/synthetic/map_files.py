@@ -75,7 +75,10 @@ def write_imagery(sample: Sample, folder: Path) -> tuple[float, float]:
 def write_jpeg(image: UInt8[Array, "H W 3"], path: Path, *, quality: int) -> None:
     """Write an image as JPEG.
 
-    `image`: RGB; `path`: file to write; its folders are made; `quality`: 0 to 100.
+    Args:
+        image: RGB.
+        path: file to write; its folders are made.
+        quality: 0 to 100.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     bgr = np.ascontiguousarray(image[..., ::-1])

@@ -55,8 +55,13 @@ def draw_place(
     Textures differ between resolutions: for two images of the same ground, draw the finer one and
     resize it.
 
-    `day`: the day; None takes day 0; `resolution`: metres per pixel. Returns RGB of `HEIGHT_M` by
-    `WIDTH_M` metres; `world_from_image` tells where.
+    Args:
+        place: the place.
+        day: the day; None takes day 0.
+        resolution: metres per pixel.
+
+    Returns:
+        RGB of `HEIGHT_M` by `WIDTH_M` metres; `world_from_image` tells where.
     """
     day = Day() if day is None else day
     canvas = make_canvas(resolution, np.random.default_rng([place.seed, GROUND]))

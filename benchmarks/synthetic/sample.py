@@ -61,10 +61,16 @@ def make_sample(
 ) -> Sample:
     """Make a place and simulate its traffic; `render_frames(sample.clip)` renders its video.
 
-    `seed`: the same seed gives the same data and rendered frames on every machine; `kind`:
-    "junction", "t", "roundabout", "street", "park" or "campus"; `minutes`: duration of the traffic,
-    in recordings of at most five minutes; `video`: height and width of its frames, pixels; None for
-    no video; `resolution`: metres per pixel of the drawn place, 0.05 to 0.2.
+    Args:
+        seed: the same seed gives the same data and rendered frames on every machine.
+        kind: "junction", "t", "roundabout", "street", "park" or "campus".
+        minutes: duration of the traffic, in recordings of at most five minutes.
+        video: height and width of its frames, pixels; None for no video.
+        hover: the drone's camera.
+        resolution: metres per pixel of the drawn place, 0.05 to 0.2.
+
+    Returns:
+        The sample.
 
     Raises:
         ValueError: there is no such kind, less traffic than video, or more video than fits in one

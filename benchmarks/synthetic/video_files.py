@@ -31,7 +31,11 @@ CLOCK = "2026-05-14 10:{minute:02d}:{second:02d}.{milli:03d}"
 def write_video_files(sample: Sample, clip: HoverClip, folder: Path, progress: Progress) -> None:
     """Write the video, its control points, boxes and telemetry, and its truth.
 
-    `folder`: folder in which the files are written.
+    Args:
+        sample: the sample.
+        clip: its clip.
+        folder: folder in which the files are written.
+        progress: called with the stage, the frames done and in all.
     """
     place = sample.place
     frames = report_each(render_frames(clip), progress, "film", len(clip.times))

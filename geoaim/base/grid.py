@@ -86,7 +86,8 @@ def pad_grid(grid: Grid, pixels: int) -> Grid:
 def fit_affine(grid: Grid, world: World, crs: str) -> tuple[Float[Array, "3 3"], float]:
     """Fit an affine map from the pixels of a grid in a world to a CRS.
 
-    Returns least-squares fit at 5 x 5 places of the grid, and its largest error there in pixels.
+    Returns:
+        (3, 3) least-squares fit at 5 x 5 places of the grid, and its largest error there in pixels.
     """
     shares = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1, 5)), axis=-1)
     pixels = shares.reshape(-1, 2) * grid.shape[::-1]

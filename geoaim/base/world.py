@@ -223,8 +223,10 @@ def describe_misplacement(
 ) -> str:
     """Describe that places do not lie where their CRS is used, and what they may be; "" if they do.
 
-    `points`: coordinates in it, x (or longitude) first, less the origin; `origin`: what is added to
-    them.
+    Args:
+        crs: the CRS.
+        points: (M, 2) coordinates in it, x (or longitude) first, less the origin.
+        origin: what is added to them.
 
     >>> describe_misplacement("EPSG:32635", np.array([[6062185.0, 583185.0]]))
     '6062185, 583185 in EPSG:32635 lies outside the area where that is used: are x and y swapped?'

@@ -62,9 +62,9 @@ def sample_lane_directions(
 ) -> tuple[Float[Array, "m 2"], Float[Array, "m"], Float[Array, "m"]]:
     """Sample the directions of one-way lanes for vehicles.
 
-    Returns (m, 2) points about `LANE_SPACING_M` apart along the middles of lanes (m), (m,)
-    directions there (rad), and (m,) the radius around each point (m) that covers its piece of the
-    lane.
+    Returns:
+        (m, 2) points about `LANE_SPACING_M` apart along the middles of lanes (m), (m,) directions
+        there (rad), and (m,) the radius around each point (m) that covers its piece of the lane.
     """
     points, directions, reaches = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
     for lanelet in hdmap.lanelets:
@@ -85,9 +85,10 @@ def read_drivable_area(
 ) -> MultiPolygon:
     """Read polygons drawn by hand as one area, in metres of the world.
 
-    `path`: GeoJSON (see `read_features`); or an object: a geometry of shapely, in metres of the
-    world, or a GeoDataFrame, in its own CRS (without one in metres of the world); `world`: the
-    plane of the area.
+    Args:
+        path: GeoJSON (see `read_features`); or an object: a geometry of shapely, in metres of the
+            world, or a GeoDataFrame, in its own CRS (without one in metres of the world).
+        world: the plane of the area.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -144,8 +145,9 @@ def compute_signed_distance(
     Distances are measured to the nearest cell of a mask `SUPERSAMPLING` times as fine, less half
     such a cell. For more than `MAX_CELLS`, cells are made coarser, with a warning.
 
-    Returns metres at the centres of cells, positive outside the area and negative inside; and the
-    north-up grid, which reaches `MARGIN_M` beyond the area.
+    Returns:
+        (H, W) metres at the centres of cells, positive outside the area and negative inside; and
+        the north-up grid, which reaches `MARGIN_M` beyond the area.
 
     Raises:
         MapError: the area is empty, or too narrow for a cell of the mask.

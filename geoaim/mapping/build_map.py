@@ -60,10 +60,17 @@ def build_map(  # noqa: PLR0913  (its options)
 ) -> AIM:
     """Build a map and write it, with a quick look (.png) beside it.
 
-    `gcps`: control points; None places the map by telemetry or by the settings; `detections`:
-    folder of boxes of vehicles to leave out; `settings`: the options; None: the defaults; `place`:
-    what moves the map to its place, such as by imagery; None: it stays. Returns the map as it was
-    written.
+    Args:
+        video: what `geoaim.open_video` opens.
+        output: the GeoTIFF to write.
+        gcps: control points; None places the map by telemetry or by the settings.
+        detections: folder of boxes of vehicles to leave out.
+        settings: the options; None: the defaults.
+        place: what moves the map to its place, such as by imagery; None: it stays.
+        progress: called with the stage, the frames done and the frames in all.
+
+    Returns:
+        The map as it was written.
 
     Raises:
         ValueError: options contradict each other.

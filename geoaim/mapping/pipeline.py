@@ -322,7 +322,12 @@ def _describe_method(
 def remove_distortion(background: Ground, radial: float) -> Ground:
     """Resample a background or a map without the radial distortion of the lens.
 
-    `radial`: the lens term of a `Georeference`.
+    Args:
+        background: the background or map.
+        radial: the lens term of a `Georeference`.
+
+    Returns:
+        The same without distortion.
     """
     if radial == 0.0:
         return background

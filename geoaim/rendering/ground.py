@@ -240,9 +240,13 @@ def apply_matrix(
 def find_offset(source: World | None, target: World | None, name: str) -> tuple[float, float]:
     """Find what has to be added to x and y of one world to have them in another.
 
-    `source`: the world of the data; None: not known, taken to be the target; `target`: the world to
-    move to; None: not known, taken to be the source; `name`: what the data are called in the
-    message.
+    Args:
+        source: the world of the data; None: not known, taken to be the target.
+        target: the world to move to; None: not known, taken to be the source.
+        name: what the data are called in the message.
+
+    Returns:
+        Metres east and north.
 
     Raises:
         MapError: the two have different CRSs, between which no shift is exact, or are two local

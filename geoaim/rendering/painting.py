@@ -124,8 +124,12 @@ class _Painting:
     def differentiate(self, painted: Tensor, needed: tuple[bool, ...]) -> list[Array | None]:
         """Turn the gradient by the pictures into that by what was below, in place.
 
-        `needed`: which of the other gradients are needed. Returns the gradients by cameras, poses,
-        sizes, colours and colours of triangles.
+        Args:
+            painted: (V, C, H, W) gradient by the pictures.
+            needed: which of the other gradients are needed.
+
+        Returns:
+            The gradients by cameras, poses, sizes, colours and colours of triangles.
         """
         boxes, stacked, fragments = self.boxes, self.stacked, self.fragments
         shares, tips = np.empty_like(fragments.share), np.empty_like(fragments.share)

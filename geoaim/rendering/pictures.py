@@ -31,9 +31,15 @@ def render_agent_video(
 ) -> Iterator[UInt8[Array, "H W 3"]]:
     """Render the view of an agent, heading up: the map, lights and all agents.
 
-    `agent`: row of the agent in the centre; `view`: size and resolution of the pictures; `steps`:
-    (S,) index of each step to render, at which the agent is present; `trail`: duration of the
-    agents' trails, seconds; 0: none. Yields an RGB picture of each step.
+    Args:
+        scene: the scene, with its map and lights.
+        agent: row of the agent in the centre.
+        view: size and resolution of the pictures.
+        steps: (S,) index of each step to render, at which the agent is present.
+        trail: duration of the agents' trails, seconds; 0: none.
+
+    Yields:
+        (H, W, 3) an RGB picture of each step.
     """
     ground = prefilter_ground(scene.ground, view.resolution)
     for batch in torch.split(steps, BATCH_SIZE):
@@ -49,7 +55,12 @@ def render_agent_video(
 def render_map_video(scene: Scene, aim: AIM) -> Iterator[UInt8[Array, "H W 3"]]:
     """Render the whole map, turned as its image is, with all agents and their trails at each step.
 
-    Yields RGB pictures with even sides, the smaller one of `FILM_HEIGHT_PX`.
+    Args:
+        scene: the scene, of this map.
+        aim: the map.
+
+    Yields:
+        (H, W, 3) an RGB picture of each step, with even sides, the smaller one of `FILM_HEIGHT_PX`.
     """
     (left, top), right, _, bottom = aim.corners
     across, down = right - (left, top), (left, top) - bottom
@@ -79,8 +90,10 @@ def write_pictures(
 ) -> None:
     """Write a video, an animation, or a single picture.
 
-    `pictures`: RGB each; with even sides for .mp4; `path`: .mp4, .gif or .png, which holds the
-    first picture; `frame_rate`: pictures per second; without effect on a .png.
+    Args:
+        pictures: (H, W, 3) RGB each; with even sides for .mp4.
+        path: .mp4, .gif or .png, which holds the first picture.
+        frame_rate: pictures per second; without effect on a .png.
 
     Raises:
         ValueError: the path has another suffix, or there are no pictures.

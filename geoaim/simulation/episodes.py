@@ -143,8 +143,11 @@ def select_movable(
 ) -> Bool[Tensor, "A"]:
     """Mark the agents that never reverse and are present in two steps after the first ones.
 
-    `first`: index of the first step; `steps`: number of steps, of which `HISTORY_STEPS` are
-    replayed; `group`: a group of agent types; None: all agents.
+    Args:
+        scene: the recording.
+        first: index of the first step.
+        steps: number of steps, of which `HISTORY_STEPS` are replayed.
+        group: a group of agent types; None: all agents.
     """
     present = scene.present[:, first + HISTORY_STEPS - 1 : first + steps]
     reverses = (scene.speeds[:, first:] <= REVERSING_SPEED_MPS).any(dim=1)

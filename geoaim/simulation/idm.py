@@ -42,11 +42,17 @@ def make_idm_policy(
 
     A red or yellow light is a standing leader for vehicles that can still stop at its line.
 
-    `routes`: the routes of all agents; `desired_speeds`: (B, A) m/s; with 0.1 or less an agent
-    brakes to a standstill and stays; `sizes`: (B, A, 2) length and width, metres; `controlled`: (B,
-    A) agents that follow this policy, and yield to those that do not; `stop_lines`: (L, 2, 2) both
-    ends of each light's line, metres; given with `light_states` or not at all; `light_states`: (B,
-    T, L) states at all steps of the scenario, as in `geoaim.tracks.lights`.
+    Args:
+        routes: the routes of all agents.
+        desired_speeds: (B, A) m/s; with 0.1 or less an agent brakes to a standstill and stays.
+        sizes: (B, A, 2) length and width, metres.
+        controlled: (B, A) agents that follow this policy, and yield to those that do not.
+        stop_lines: (L, 2, 2) both ends of each light's line, metres; given with `light_states` or
+            not at all.
+        light_states: (B, T, L) states at all steps of the scenario, as in `geoaim.tracks.lights`.
+
+    Returns:
+        The policy.
 
     Raises:
         ValueError: only one of `stop_lines` and `light_states` is given.

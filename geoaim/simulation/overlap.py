@@ -118,8 +118,14 @@ def compute_box_distance(
     overlap it is minus the shortest way that parts them, along an axis of either (the separating
     axis theorem): the distance of the origin from the edge of their Minkowski difference.
 
-    `sizes`: (..., 2) length and width, metres; `other_poses`: (..., 3) the other boxes' poses; the
-    leading axes are broadcast; `other_sizes`: (..., 2). Returns (...) metres.
+    Args:
+        poses: (..., 3) x, y, heading.
+        sizes: (..., 2) length and width, metres.
+        other_poses: (..., 3) the other boxes' poses; the leading axes are broadcast.
+        other_sizes: (..., 2).
+
+    Returns:
+        (...) metres.
 
     >>> box = torch.tensor([4.0, 2.0])
     >>> poses = torch.tensor([[6.0, 0.0, 0.0], [3.5, 0.0, 0.0]])

@@ -183,7 +183,8 @@ def make_lanes(hdmap: HDMap) -> Lanes:
 def check_rules(scene: Scene, rules: RoadRules) -> RoadRules:
     """Check that road rules are for the place of the scene's map.
 
-    Returns the rules in the scene's world.
+    Returns:
+        The rules in the scene's world.
 
     Raises:
         TracksError: no lane, or no part of the drivable area, lies on the map.

@@ -53,11 +53,16 @@ def detect_infractions(
 
     "off road" is judged only where all corners are on the map, where it has an image.
 
-    `scene`: the recorded or simulated scene; `agents`: (A,) the agents whose infractions are
-    detected; the others can be collided with; `rules`: the road rules, moved to the scene's world;
-    infractions of missing rules are not detected; `first`: index of the first of the S steps, at
-    least 1. Returns for each name, (A, S) whether an agent commits that infraction, and (A, S)
-    whether it is judged.
+    Args:
+        scene: the recorded or simulated scene.
+        agents: (A,) the agents whose infractions are detected; the others can be collided with.
+        rules: the road rules, moved to the scene's world; infractions of missing rules are not
+            detected.
+        first: index of the first of the S steps, at least 1.
+
+    Returns:
+        For each name, (A, S) whether an agent commits that infraction, and (A, S) whether it is
+        judged.
 
     Raises:
         ValueError: the pose of a present agent is not finite.
@@ -98,9 +103,14 @@ def find_infractions(
       on the raster of distances.
     - "wrong way": it heads along none of the one-way lanes that it is on; where it is on one.
 
-    `agents`: (M, A) the agents whose infractions are found; the others can be collided with;
-    `rules`: the road rules, in the world of the motion. Returns for each name, (M, A, S) whether an
-    agent commits that infraction in a step, and (M, A, S) whether it is judged.
+    Args:
+        motion: all agents.
+        agents: (M, A) the agents whose infractions are found; the others can be collided with.
+        rules: the road rules, in the world of the motion.
+
+    Returns:
+        For each name, (M, A, S) whether an agent commits that infraction in a step, and (M, A, S)
+        whether it is judged.
 
     Raises:
         ValueError: the pose of a present agent is not finite.

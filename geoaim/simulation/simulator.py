@@ -164,10 +164,16 @@ def step(
 ) -> Float[Tensor, "B A 4"]:
     """Simulate one step: controlled agents act while recorded as present, others replay.
 
-    `index`: index of the step at which `states` hold; `states`: (B, A, 4) x, y, heading, speed at
-    that step; `actions`: (B, A, 2) acceleration, m/s², and steering angle, radians; of pedestrians
-    turn rate, rad/s; `controlled`: (B, A) agents that the actions move. Returns (B, A, 4) states at
-    the next step.
+    Args:
+        scenario: the recording.
+        index: index of the step at which `states` hold.
+        states: (B, A, 4) x, y, heading, speed at that step.
+        actions: (B, A, 2) acceleration, m/s², and steering angle, radians; of pedestrians turn
+            rate, rad/s.
+        controlled: (B, A) agents that the actions move.
+
+    Returns:
+        (B, A, 4) states at the next step.
     """
     moved = controlled & scenario.present[:, :, index] & scenario.present[:, :, index + 1]
     drives = moved & ~scenario.pedestrian

@@ -36,9 +36,15 @@ def rollout_routes(
     way. It leaves at the end of its route, unless its recording ends at a standstill. All others
     replay.
 
-    `policy`: gives the actions of all agents; `controlled`: (B, A) agents that the policy moves;
-    `history`: number of first steps, 1 or more, in which all agents replay. Returns (B, A, T, 4) x,
-    y, heading, speed of all agents, 0 while absent; (B, A, T) their presence.
+    Args:
+        scenario: the recording.
+        policy: gives the actions of all agents.
+        controlled: (B, A) agents that the policy moves.
+        routes: the routes of all agents.
+        history: number of first steps, 1 or more, in which all agents replay.
+
+    Returns:
+        (B, A, T, 4) x, y, heading, speed of all agents, 0 while absent; (B, A, T) their presence.
     """
     entries = _find_entries(scenario)
     present = scenario.present.clone()

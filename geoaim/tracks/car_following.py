@@ -33,10 +33,16 @@ def compute_gap_ratio(
 ) -> ArrayOrTensor:
     """Compute the ratio of the gap that a driver desires to the actual gap, s* / s.
 
-    `speed`: the driver's speed, m/s; `closing_speed`: its speed minus that of the leader, m/s;
-    `gap`: gap to the leader, metres; infinite where there is none. Gaps below `MIN_GAP_M` count as
-    `MIN_GAP_M`. Returns the ratio; its square times the maximum acceleration is the braking term.
-    Arguments are broadcast.
+    Args:
+        driver: its parameters.
+        speed: (...) the driver's speed, m/s.
+        closing_speed: (...) its speed minus that of the leader, m/s.
+        gap: (...) gap to the leader, metres; infinite where there is none. Gaps below `MIN_GAP_M`
+            count as `MIN_GAP_M`.
+
+    Returns:
+        (...) the ratio; its square times the maximum acceleration is the braking term. Arguments
+        are broadcast.
     """
     approach = speed * closing_speed / (2 * math.sqrt(driver.acceleration * driver.deceleration))
     desired = driver.standstill_gap + (speed * driver.headway + approach).clip(0)

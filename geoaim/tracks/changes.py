@@ -99,10 +99,14 @@ def select_agents(tracks: Tracks, kept: Bool[Array, "N"]) -> Tracks:
 def merge_tracks(parts: Sequence[Tracks]) -> Tracks:
     """Merge tracks of one place and clock, such as files of vehicles and of pedestrians.
 
-    Returns all agents at all times, in the world of the first tracks; an agent is absent at times
-    of other parts alone, which resampling fills. An id that an earlier part has becomes "2-ID" in
-    the second part, and so on. `seen`, `uncertainty` and `observed_sigma` are kept where all parts
-    state them.
+    Args:
+        parts: one or more tracks.
+
+    Returns:
+        Tracks of all agents at all times, in the world of the first ones; an agent is absent at
+        times of other parts alone, which resampling fills. An id that an earlier part has becomes
+        "2-ID" in the second part, and so on. `seen`, `uncertainty` and `observed_sigma` are kept
+        where all parts state them.
 
     Raises:
         TracksError: only some have a CRS, they share no time, or there would be too many states.

@@ -362,7 +362,9 @@ def write_dated_tracks(
     An agent's id is RECORDING/ID; `time` counts from the start of the first recording. Observed
     states and uncertainties are left out, since not all recordings may have them.
 
-    `recordings`: tracks and the date and time at which their `time` is 0, by name.
+    Args:
+        recordings: tracks and the date and time at which their `time` is 0, by name.
+        path: the .parquet file.
     """
     begin = min(start for _, start in recordings.values())
 

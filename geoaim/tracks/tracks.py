@@ -308,8 +308,13 @@ def estimate_heading(
     A slow agent keeps the direction of its last motion. Before its first motion it has the
     direction of that motion; an agent that never moves has 0.
 
-    `causal`: whether agents have 0 before their first motion, so that no later step is used.
-    Returns headings, radians.
+    Args:
+        velocity: m/s.
+        min_speed: m/s.
+        causal: whether agents have 0 before their first motion, so that no later step is used.
+
+    Returns:
+        Headings, radians.
 
     >>> estimate_heading(np.array([[[0.0, 2.0], [0.0, 0.0]]])).round(2)
     array([[1.57, 1.57]])

@@ -61,10 +61,14 @@ def plan_from_road(approach: Approach, points: Float[Array, "m 2"]) -> Polyline:
 def outline_strip(approach: Approach, s: tuple[float, float], t: tuple[float, float]) -> Polyline:
     """Outline a rectangle in road coordinates, which bends with the road.
 
-    `s`: (2,) ends of the rectangle along the road, metres from the place's centre; `t`: (2,) ends
-    of the rectangle across the road, metres to the left of the reference line. Returns (m, 2)
-    points of the outline in plan coordinates, metres, about 2 m apart along the sides; the first is
-    not repeated.
+    Args:
+        approach: the road.
+        s: (2,) ends of the rectangle along the road, metres from the place's centre.
+        t: (2,) ends of the rectangle across the road, metres to the left of the reference line.
+
+    Returns:
+        (m, 2) points of the outline in plan coordinates, metres, about 2 m apart along the sides;
+        the first is not repeated.
     """
     count = max(2, int(abs(s[1] - s[0]) / 2) + 2)
     along = np.linspace(*s, count)

@@ -68,9 +68,13 @@ def outline_car_park_part(
 ) -> Polyline:
     """Compute the corners of a rectangle in a car park.
 
-    `car_park`: the car park that the coordinates belong to; `along`: ends of the rectangle along
-    the kerb, metres; `deep`: its ends perpendicular to the kerb, metres from it. Returns four
-    corners in plan coordinates.
+    Args:
+        car_park: the car park that the coordinates belong to.
+        along: ends of the rectangle along the kerb, metres.
+        deep: its ends perpendicular to the kerb, metres from it.
+
+    Returns:
+        Four corners in plan coordinates.
     """
     (x0, x1), (y0, y1) = along, deep
     corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])

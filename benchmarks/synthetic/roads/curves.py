@@ -70,9 +70,16 @@ def connect_poses(
 
     Of several speeds along the parameter, the one with the least maximum curvature is chosen.
 
-    `start`: first point, metres; `start_heading`: radians; `end_heading`: radians;
-    `start_curvature`: 1/m, positive to the left; `end_curvature`: 1/m. Returns points about
-    `POINT_SPACING_M` apart, from `start` to `end`.
+    Args:
+        start: first point, metres.
+        start_heading: radians.
+        end: last point.
+        end_heading: radians.
+        start_curvature: 1/m, positive to the left.
+        end_curvature: 1/m.
+
+    Returns:
+        Points about `POINT_SPACING_M` apart, from `start` to `end`.
     """
     chord = float(np.hypot(*(end - start)))
     ahead = make_unit_vector(start_heading), make_unit_vector(end_heading)

@@ -55,9 +55,14 @@ def make_lanelet_map(
 ) -> bytes:
     """Write the HD map of a place in the Lanelet2 format.
 
-    `world_from_plan`: plan metres to world metres; `world`: CRS and origin of these world metres,
-    for longitudes and latitudes; `complete`: whether to add walkways, crossings, car park and
-    private roads to the lanes. Returns the content of an .osm file.
+    Args:
+        roads: the plan.
+        world_from_plan: (3, 3) plan metres to world metres.
+        world: CRS and origin of these world metres, for longitudes and latitudes.
+        complete: whether to add walkways, crossings, car park and private roads to the lanes.
+
+    Returns:
+        The content of an .osm file.
     """
     draft = _Draft()
     private = () if complete else roads.layout.private

@@ -146,7 +146,8 @@ def _make_campus(generator: np.random.Generator) -> Layout:
 def locate_corner(approach: Approach, other: Approach) -> float:
     """Locate the corner where the kerbs of two approaches would meet without a corner radius.
 
-    Returns its distance s along `approach` from the centre, metres; 0 if they do not meet.
+    Returns:
+        Its distance s along `approach` from the centre, metres; 0 if they do not meet.
     """
     angle = _measure_angle(approach, other)
     if other.name == approach.name or angle > MAX_CORNER_ANGLE:

@@ -89,7 +89,8 @@ def locate_manholes(roads: Roads) -> Float[Array, "M 2"]:
 def locate_give_way_line(layout: Layout, approach: Approach) -> Polyline:
     """Compute the centreline of a roundabout's give-way line at an approach.
 
-    Returns (8, 2) points in plan metres. Only layouts with a `ring_radius` have such lines.
+    Returns:
+        (8, 2) points in plan metres. Only layouts with a `ring_radius` have such lines.
     """
     angle = approach.angle + np.linspace(*RING_LINE_ANGLES, 8)
     radius = layout.ring_radius + RING_LINE_OFFSET_M + 0.2

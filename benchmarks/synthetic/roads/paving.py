@@ -57,9 +57,15 @@ def make_paving(
 ) -> tuple[Paving, tuple[Crossing, ...]]:
     """Make the surfaces and crossings of a layout.
 
-    `lanes`: all lanes; the carriageway contains them and islands do not overlap them; `car_park`:
-    None without a car park; `extent`: the part of the plan that is drawn, which the plots fill;
-    `pavement_width`: metres.
+    Args:
+        layout: approaches and corners.
+        lanes: all lanes; the carriageway contains them and islands do not overlap them.
+        car_park: None without a car park.
+        extent: the part of the plan that is drawn, which the plots fill.
+        pavement_width: metres.
+
+    Returns:
+        The surfaces and the crossings.
     """
     road = _outline_carriageway(layout, lanes)
     bounds = [compute_lane_bounds(lane) for lane in lanes]

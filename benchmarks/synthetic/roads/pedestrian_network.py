@@ -82,9 +82,16 @@ def make_pedestrian_network(
 ) -> PedestrianNetwork:
     """Connect the pavements by crossings, and add footpaths off them.
 
-    `paving`: surfaces of the place, plan metres; `crossings`: crossings of the roads and of the
-    driveway; `extent`: the part of the plan that is drawn; `pavement_width`: metres; `generator`:
-    draws where footpaths lie; `park`: whether footpaths lead through a park, not to doors.
+    Args:
+        paving: surfaces of the place, plan metres.
+        crossings: crossings of the roads and of the driveway.
+        extent: the part of the plan that is drawn.
+        pavement_width: metres.
+        generator: draws where footpaths lie.
+        park: whether footpaths lead through a park, not to doors.
+
+    Returns:
+        The network.
     """
     road = outline_road(paving)
     pavements = _cut_pavements(road, extent, pavement_width)
@@ -116,9 +123,15 @@ def find_route(
 ) -> list[tuple[Polyline, int]]:
     """Find the shortest route between two nodes.
 
-    `network`: a network with E edges; `factors`: factors by which the lengths of the edges are
-    multiplied. Returns the line (plan metres) of each edge in the direction of travel, and the
-    index of its crossing (-1: none); empty if there is no route.
+    Args:
+        network: a network with E edges.
+        start: a node.
+        end: a node.
+        factors: (E,) factors by which the lengths of the edges are multiplied.
+
+    Returns:
+        The line (plan metres) of each edge in the direction of travel, and the index of its
+        crossing (-1: none); empty if there is no route.
     """
     graph = nx.MultiGraph()
     for edge, factor in zip(network.edges, factors, strict=True):

@@ -57,7 +57,13 @@ def find_approach(layout: Layout, name: str) -> Approach:
 def find_signal(roads: Roads, lane: str, turn: str) -> str:
     """Find the name of the traffic light for a turn from a lane.
 
-    Returns "east", "east left" for a protected left turn, or "" where no light controls the lane.
+    Args:
+        roads: the plan.
+        lane: name of a lane.
+        turn: L, S or R.
+
+    Returns:
+        "east", "east left" for a protected left turn, or "" where no light controls the lane.
     """
     if not roads.layout.signalised or " in " not in lane:
         return ""

@@ -62,9 +62,13 @@ def make_canvas(resolution: float, generator: np.random.Generator) -> Canvas:
 def sample_noise(canvas: Canvas, field: int, window: Window | None = None) -> Float32[Array, "h w"]:
     """Crop noise at a random position of one of the canvas's fields.
 
-    `field`: `GRAIN`, `BLOTCH`, `PATCH` or `HILL`, from fine noise to broad; `window`: slices of the
-    canvas's rows and columns, whose size the result has; None: all. Returns noise, whose field has
-    mean 0 and variance 1.
+    Args:
+        canvas: the canvas.
+        field: `GRAIN`, `BLOTCH`, `PATCH` or `HILL`, from fine noise to broad.
+        window: slices of the canvas's rows and columns, whose size the result has; None: all.
+
+    Returns:
+        (h, w) noise, whose field has mean 0 and variance 1.
     """
     rows, columns = window or canvas.window
     tile = len(canvas.fields[field])
@@ -79,8 +83,13 @@ def rasterize_shape(
 ) -> tuple[Window, UInt8[Array, "h w"]]:
     """Rasterize a shape, anti-aliased.
 
-    `shape`: polygons in plan metres; `within`: window of the mask; None takes the bounding box of
-    the shape. Returns the window, and the mask in it, 0 to 255.
+    Args:
+        canvas: the canvas.
+        shape: polygons in plan metres.
+        within: window of the mask; None takes the bounding box of the shape.
+
+    Returns:
+        The window, and the mask in it, 0 to 255.
     """
     matrix = canvas.image_from_plan
     polygons = [[transform_points(matrix, r) for r in rings] for rings in _iterate_rings(shape)]
@@ -110,9 +119,13 @@ def fill(
 ) -> None:
     """Fill a shape with a colour that varies by noise.
 
-    `canvas`: the canvas, changed in place; `shape`: polygons in plan metres; their union is filled;
-    `colour`: mean RGB colour, 0 to 255; `strength`: opacity, 0 to 1; `grain`: noise fields and
-    their standard deviations in grey levels; `only`: area to which drawing is clipped.
+    Args:
+        canvas: the canvas, changed in place.
+        shape: polygons in plan metres; their union is filled.
+        colour: mean RGB colour, 0 to 255.
+        strength: opacity, 0 to 1.
+        grain: noise fields and their standard deviations in grey levels.
+        only: area to which drawing is clipped.
     """
     window, mask = rasterize_shape(canvas, shape)
     if not mask.any():
@@ -138,8 +151,13 @@ def make_rectangle(
 ) -> Float[Array, "4 2"]:
     """Make a rotated rectangle.
 
-    `centre`: metres; `size`: length and width, metres; `angle`: direction of the length, radians.
-    Returns corners, metres.
+    Args:
+        centre: metres.
+        size: length and width, metres.
+        angle: direction of the length, radians.
+
+    Returns:
+        (4, 2) corners, metres.
     """
     half = np.array(size) / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])

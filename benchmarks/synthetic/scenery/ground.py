@@ -36,9 +36,12 @@ def draw_ground_layers(
 ) -> None:
     """Draw the ground in painting order: grass, plots, pavement, tar, islands, kerbs, markings.
 
-    `scenery`: the plots: parks, fields, soil, gravel, ponds, verges; `day`: the season, and the
-    number of changes since day 0; `generator`: draws the repairs of that day; all else is drawn by
-    `canvas.generator`.
+    Args:
+        canvas: changed in place.
+        roads: the roads.
+        scenery: the plots: parks, fields, soil, gravel, ponds, verges.
+        day: the season, and the number of changes since day 0.
+        generator: draws the repairs of that day; all else is drawn by `canvas.generator`.
     """
     _draw_grass(canvas, day)
     _draw_plots(canvas, scenery)

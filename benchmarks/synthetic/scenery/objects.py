@@ -56,7 +56,14 @@ class _Stamp:
 def draw_objects(
     canvas: Canvas, scenery: Scenery, day: Day, generator: np.random.Generator
 ) -> None:
-    """Draw all objects, shadows first."""
+    """Draw all objects, shadows first.
+
+    Args:
+        canvas: changed in place.
+        scenery: the objects.
+        day: sun and season.
+        generator: source of randomness, the day's own.
+    """
     felled = generator.permutation(len(scenery.trees))[: day.changes] if day.changes else ()
     standing = [tree for k, tree in enumerate(scenery.trees) if k not in felled]
     trees = [_place_tree(canvas, tree, day) for tree in standing]

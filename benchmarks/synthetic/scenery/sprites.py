@@ -29,10 +29,16 @@ def draw_tree(
 ) -> UInt8[Array, "_ _ 4"]:
     """Draw a crown from above: clumps of leaves, lit from one side, with a ragged rim.
 
-    `radius`: pixels; `colour`: RGB of leaves in full light, 0 to 255; `light`: direction towards
-    the sun in the image, right and down, of length 1; `grain`: noise of variance 1; each side is
-    longer than 2.4 x radius, pixels; `generator`: source of the crown's shape. Returns RGBA, 0 to
-    255: a square with a side of 2.4 radii, the crown in its middle and the rest transparent.
+    Args:
+        radius: pixels.
+        colour: RGB of leaves in full light, 0 to 255.
+        light: direction towards the sun in the image, right and down, of length 1.
+        grain: noise of variance 1; each side is longer than 2.4 x radius, pixels.
+        generator: source of the crown's shape.
+
+    Returns:
+        RGBA, 0 to 255: a square with a side of 2.4 radii, the crown in its middle and the rest
+        transparent.
     """
     side = 2 * int(radius * 1.2) + 1
     axis = np.linspace(-1.2, 1.2, side)
@@ -83,8 +89,14 @@ def draw_vehicle(
 ) -> UInt8[Array, "_ _ 4"]:
     """Draw a vehicle from above, heading right: a lorry above 6.5 m of length, a bus above 11 m.
 
-    `length`: metres; `width`: metres; `colour`: RGB of the paint, 0 to 255; `resolution`: metres
-    per pixel. Returns RGBA, centred, with a transparent rim of `MARGIN` pixels.
+    Args:
+        length: metres.
+        width: metres.
+        colour: RGB of the paint, 0 to 255.
+        resolution: metres per pixel.
+
+    Returns:
+        RGBA, centred, with a transparent rim of `MARGIN` pixels.
     """
     a, b = length / 2, width / 2
     parts = _outline_car(a, b, colour) if length <= LORRY_LENGTH_M else _outline_lorry(a, b, colour)
@@ -97,8 +109,13 @@ def draw_pedestrian(
 ) -> UInt8[Array, "_ _ 4"]:
     """Draw a pedestrian or a cyclist from above, heading right.
 
-    `colour`: RGB of the clothes, 0 to 255; `resolution`: metres per pixel; `cycle`: whether to draw
-    a cycle below. Returns RGBA, centred, with a transparent rim of `MARGIN` pixels.
+    Args:
+        colour: RGB of the clothes, 0 to 255.
+        resolution: metres per pixel.
+        cycle: whether to draw a cycle below.
+
+    Returns:
+        RGBA, centred, with a transparent rim of `MARGIN` pixels.
     """
     shoulders = [(0.14, 0), (0.12, 0.2), (0.02, 0.27), (-0.1, 0.24), (-0.14, 0)]
     hair = [(0.11, 0), (0.07, 0.09), (-0.04, 0.1), (-0.1, 0)]

@@ -20,8 +20,13 @@ def make_natural_noise(
 ) -> Float32[Array, "H W"]:
     """Make periodic noise whose amplitude is proportional to frequency to the power -slope.
 
-    `slope`: 0 for white noise, about 1 for natural images (Field 1987), 2 for smooth hills. Returns
-    noise of mean 0 and variance 1.
+    Args:
+        shape: height and width.
+        slope: 0 for white noise, about 1 for natural images (Field 1987), 2 for smooth hills.
+        generator: source of randomness.
+
+    Returns:
+        Noise of mean 0 and variance 1.
     """
     white = generator.standard_normal(shape)
     down, right = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None, :]
@@ -74,7 +79,10 @@ def blend(
 ) -> None:
     """Blend a colour or an image into an image.
 
-    `mask`: opacity, 0 to 1; `colour`: a colour of C numbers, or an image (H, W, C).
+    Args:
+        image: changed in place.
+        mask: opacity, 0 to 1.
+        colour: a colour of C numbers, or an image (H, W, C).
     """
     paint = np.asarray(colour, np.float32)
     for top in range(0, len(image), ROWS_BLENDED):
@@ -89,7 +97,10 @@ def darken(
 ) -> None:
     """Darken an image.
 
-    `mask`: how strongly each pixel is darkened, 0 to 1; `share`: share of the light that is taken,
-    0 to 1: a number, one for each channel, or an array that is broadcast to (H, W, 3).
+    Args:
+        image: changed in place.
+        mask: how strongly each pixel is darkened, 0 to 1.
+        share: share of the light that is taken, 0 to 1: a number, one for each channel, or an
+            array that is broadcast to (H, W, 3).
     """
     image *= 1 - mask[..., None] * np.asarray(share, np.float32)

@@ -61,9 +61,16 @@ def step_vehicles(
 ) -> Vehicles:
     """Move all vehicles by one time step.
 
-    `context`: what these vehicles meet on their paths; `tables`: tables over the paths; `lights`:
-    state of each of the G lights of `Signals`, as in `geoaim.tracks.lights`; `dt`: seconds. Returns
-    the vehicles after the step.
+    Args:
+        placed: the vehicles.
+        context: what these vehicles meet on their paths.
+        tables: tables over the paths.
+        lights: state of each of the G lights of `Signals`, as in `geoaim.tracks.lights`.
+        pedestrians: pedestrians on crossings.
+        dt: seconds.
+
+    Returns:
+        The vehicles after the step.
     """
     vehicles = placed.state
     if len(vehicles.s) == 0:

@@ -51,9 +51,16 @@ def react_to_vehicles(
 
     They wait at the kerb until they can cross, and on a crossing while a vehicle passes.
 
-    `outlook`: their targets, and which of them are on or near which crossing; `crossings`: the
-    crossings of the place; `tables`: lengths, limits and conflicts of the vehicles' paths;
-    `lights`: state of each of the G lights of `Signals`, as in `geoaim.tracks.lights`.
+    Args:
+        pedestrians: all pedestrians and cyclists.
+        outlook: their targets, and which of them are on or near which crossing.
+        crossings: the crossings of the place.
+        placed: the vehicles.
+        tables: lengths, limits and conflicts of the vehicles' paths.
+        lights: state of each of the G lights of `Signals`, as in `geoaim.tracks.lights`.
+
+    Returns:
+        The reaction of each pedestrian.
     """
     count = len(pedestrians.trip)
     waits, detour = np.zeros(count, bool), np.zeros(count)

@@ -34,10 +34,15 @@ def interpolate_tracks(
     lane; its distance along the path is a cubic of time between the steps of the simulation. The
     speed in the tracks is that of the box centre.
 
-    `model`: the traffic model of the place; `recording`: recording of that model's traffic;
-    `place`: the place, for the transform to the world; `times`: times within the recording,
-    seconds; `margin`: metres around the drawn extent in which agents are present. Returns the
-    tracks of all agents that are present at any time.
+    Args:
+        model: the traffic model of the place.
+        recording: recording of that model's traffic.
+        place: the place, for the transform to the world.
+        times: (T,) times within the recording, seconds.
+        margin: metres around the drawn extent in which agents are present.
+
+    Returns:
+        The tracks of all agents that are present at any time.
 
     Raises:
         ValueError: a time lies outside the recording.

@@ -172,9 +172,16 @@ def step_pedestrians(
 ) -> Pedestrians:
     """Move all pedestrians by one time step.
 
-    `reaction`: reaction to vehicles and lights; `pavement`: the pavement, on which they may walk;
-    `noise`: standard normal numbers, for a random force; `dt`: seconds. Returns the pedestrians
-    after the step.
+    Args:
+        pedestrians: all pedestrians and cyclists.
+        outlook: outlook of these pedestrians.
+        reaction: reaction to vehicles and lights.
+        pavement: the pavement, on which they may walk.
+        noise: standard normal numbers, for a random force.
+        dt: seconds.
+
+    Returns:
+        The pedestrians after the step.
     """
     if len(pedestrians.trip) == 0:
         return pedestrians

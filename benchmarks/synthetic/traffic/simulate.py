@@ -92,8 +92,14 @@ def simulate_traffic(
 ) -> TrafficRecording:
     """Simulate the traffic of a place.
 
-    `model`: the result of `prepare_traffic`; `signals.phase` is that at the start of the recording;
-    `duration`: seconds. Returns the recording, at steps of `DT`, after a warm-up that is left out.
+    Args:
+        model: the result of `prepare_traffic`; `signals.phase` is that at the start of the
+            recording.
+        duration: seconds.
+        generator: generator for everything random.
+
+    Returns:
+        The recording, at steps of `DT`, after a warm-up that is left out.
     """
     times = np.arange(-round(WARM_UP_S / DT), ceil(duration / DT - 1e-9) + 1) * DT
     light_states = compute_light_states(model.signals, times)

@@ -71,10 +71,15 @@ def spawn_agents(
 ) -> Agents:
     """Let vehicles park, leave bays, leave the plan and enter it; pedestrians enter and leave.
 
-    `agents`: the agents that are present; `trips`: the trips of the simulation; they are updated;
-    `tables`: tables over the paths of vehicles; `time`: seconds; `generator`: generator for parking
-    durations and paths out of bays. Returns the agents that are present now; `vehicles.path` is the
-    same object if no path changes.
+    Args:
+        agents: the agents that are present.
+        trips: the trips of the simulation; they are updated.
+        tables: tables over the paths of vehicles.
+        time: seconds.
+        generator: generator for parking durations and paths out of bays.
+
+    Returns:
+        The agents that are present now; `vehicles.path` is the same object if no path changes.
     """
     vehicles, pedestrians = agents.vehicles, agents.pedestrians
     vehicles = _park(vehicles, tables, time, generator)
@@ -105,8 +110,16 @@ def make_vehicle(
 ) -> Vehicles:
     """Make the state of one vehicle: `Vehicles` with one entry.
 
-    `s`: position of its rear axle along the path, metres; `speed`: m/s; `parked_until`: time at
-    which it leaves its parking bay, seconds; infinite if it is not parked.
+    Args:
+        trip: trip of the vehicle.
+        trip_index: index of the trip in `Trips`.
+        s: position of its rear axle along the path, metres.
+        speed: m/s.
+        parked_until: time at which it leaves its parking bay, seconds; infinite if it is not
+            parked.
+
+    Returns:
+        The state.
     """
     values = (s, speed, 0.0, trip.size[0], trip.speed_factor, trip.headway, parked_until)
     arrays = (np.array([value]) for value in values)
@@ -116,7 +129,13 @@ def make_vehicle(
 def make_pedestrian(trip: PedestrianTrip, trip_index: int, s: float = 0.0) -> Pedestrians:
     """Make the state of one pedestrian or cyclist: `Pedestrians` with one entry.
 
-    `s`: metres of the path walked so far.
+    Args:
+        trip: trip of the pedestrian.
+        trip_index: index of the trip in `Trips`.
+        s: metres of the path walked so far.
+
+    Returns:
+        The state.
     """
     last = len(trip.path) - 1
     index = min(int(s / POINT_SPACING_M), last - 1)

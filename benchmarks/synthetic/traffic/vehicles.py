@@ -83,7 +83,13 @@ def make_path_tables(
 ) -> PathTables:
     """Arrange the properties of paths in tables.
 
-    `signals`: the signals that control them.
+    Args:
+        paths: paths of vehicles.
+        conflicts: conflicts between them.
+        signals: the signals that control them.
+
+    Returns:
+        The tables.
     """
     longest = max(len(path.line) for path in paths)
     entries = sorted({path.entry for path in paths} - {""})

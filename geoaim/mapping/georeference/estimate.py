@@ -241,9 +241,14 @@ def estimate_preliminary(
     No point is tested for mistakes. Tilt, stretch and lens enter the uncertainty at their expected
     size (`posterior`), and the noise is that of picking points.
 
-    `points`: two points or more on one image; `height`: height of the image, pixels; `width`: width
-    of the image, pixels; `world`: the target plane; None: see `estimate_georeference`. Returns the
-    georeference, marked approximate; leave-one-out errors are NaN.
+    Args:
+        points: two points or more on one image.
+        height: height of the image, pixels.
+        width: width of the image, pixels.
+        world: the target plane; None: see `estimate_georeference`.
+
+    Returns:
+        The georeference, marked approximate; leave-one-out errors are NaN.
 
     Raises:
         GeoreferenceError: there are fewer than two points, or two have the same pixel or place.

@@ -23,9 +23,10 @@ from geoaim.mapping.georeference.point_files import ODM_PIXEL_SHIFT, SHARED_COVA
 def write_control_points(points: ControlPoints, path: str | Path) -> None:
     """Write control points to a file, whole or not at all; the format follows from its name.
 
-    `points`: the points; NaN where a pixel or a place is not picked yet, which .csv alone keeps;
-    `path`: `.csv` with the columns name, u, v, and lon, lat or x, y; `.txt` is OpenDroneMap's list
-    (`gcp_list.txt`), `.points` that of QGIS.
+    Args:
+        points: the points; NaN where a pixel or a place is not picked yet, which .csv alone keeps.
+        path: `.csv` with the columns name, u, v, and lon, lat or x, y; `.txt` is OpenDroneMap's
+            list (`gcp_list.txt`), `.points` that of QGIS.
 
     Raises:
         GeoreferenceError: the format cannot state the points' CRS, or no point is complete.

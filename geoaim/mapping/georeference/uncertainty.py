@@ -32,8 +32,9 @@ def predict_uncertainty(
     and Zisserman 1997), plus the squared difference of the posterior's mean and the chosen model
     times the probability that this model is wrong.
 
-    Returns one standard deviation (M,), and the semi-major axis (M,) of the ellipse that holds the
-    true place in 95 % of cases; by the F distribution it is larger for few points.
+    Returns:
+        One standard deviation (M,), and the semi-major axis (M,) of the ellipse that holds the true
+        place in 95 % of cases; by the F distribution it is larger for few points.
     """
     sigma = _measure_sigma(_design_errors(georeference, pixels))
     bound = sigma * ellipse_factor(georeference.posterior.dof)
@@ -43,9 +44,9 @@ def predict_uncertainty(
 def map_uncertainty(georeference: Georeference) -> dict[str, Any]:
     """Map the uncertainty over the image, now and with a further point in its worst corner.
 
-    Returns entries of the report of an AIM: radii that hold the true place in 95 % of cases,
-    metres, on a grid over the image, in its middle and worst corner, and with a control point
-    there.
+    Returns:
+        Entries of the report of an AIM: radii that hold the true place in 95 % of cases, metres, on
+        a grid over the image, in its middle and worst corner, and with a control point there.
     """
     rows, columns = GRID_SHAPE
     design, dof = (
@@ -78,8 +79,9 @@ def average_covariance(georeference: Georeference) -> Float[Array, "2 2"]:
 def predict_ellipses(georeference: Georeference, pixels: Points) -> Float[Array, "m 2 2"]:
     """Predict the ellipses that hold the true places of pixels in 95 % of cases.
 
-    Returns semi-axes (M, 2, 2) as rows, in metres east and north, the longer one first. Points of
-    an ellipse are its centre + cos(t) first + sin(t) second.
+    Returns:
+        Semi-axes (M, 2, 2) as rows, in metres east and north, the longer one first. Points of an
+        ellipse are its centre + cos(t) first + sin(t) second.
     """
     factor = ellipse_factor(georeference.posterior.dof)
     directions, lengths, _ = np.linalg.svd(
@@ -92,8 +94,9 @@ def predict_ellipses(georeference: Georeference, pixels: Points) -> Float[Array,
 def suggest_point(georeference: Georeference) -> tuple[Float[Array, "2"], float, float]:
     """Find where one more control point would lower the largest uncertainty in the image most.
 
-    Returns the pixel to pick next, and two radii in metres: at the worst place of the image, the
-    radius that holds the true place in 95 % of cases, without and with that point.
+    Returns:
+        (2,) the pixel to pick next, and two radii in metres: at the worst place of the image, the
+        radius that holds the true place in 95 % of cases, without and with that point.
     """
     places = _list_places(georeference)
     design = _design_errors(georeference, places)

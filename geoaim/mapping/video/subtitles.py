@@ -11,7 +11,9 @@ from geoaim.mapping.video.telemetry import Telemetry
 def read_subtitles(path: Path, start: float) -> Telemetry | None:
     """Read telemetry from the first subtitles of a video that state places; None: there are none.
 
-    `start`: presentation time of the video's first frame, seconds.
+    Args:
+        path: the video.
+        start: presentation time of the video's first frame, seconds.
 
     Raises:
         GeoreferenceError: as of `read_srt`.

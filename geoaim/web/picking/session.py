@@ -63,10 +63,16 @@ def read_task(
 ) -> PickingTask:
     """Read the frame and the imagery on which control points are picked.
 
-    `video`: a video, images or one image; `path`: the .csv of the points; if it exists, picking
-    continues with its points; `imagery`: an AIM, or what `read_imagery` reads; None: coordinates
-    are typed; `time`: time of the frame, s; `crs`: CRS of the coordinates; None for a local metric
-    plane; `imagery_crs`: CRS of imagery that states none, such as an image with a world file.
+    Args:
+        video: a video, images or one image.
+        path: the .csv of the points; if it exists, picking continues with its points.
+        imagery: an AIM, or what `read_imagery` reads; None: coordinates are typed.
+        time: time of the frame, s.
+        crs: CRS of the coordinates; None for a local metric plane.
+        imagery_crs: CRS of imagery that states none, such as an image with a world file.
+
+    Returns:
+        The task.
 
     Raises:
         GeoaimError: something cannot be read.
