@@ -294,7 +294,7 @@ def _join_parts(source: str, paths: list[Path], threads: int | None) -> Video:
         read_all=lambda: chain.from_iterable(move(n, iter(part)) for n, part in enumerate(parts)),
         read_at=read_at,
         read_telemetry=lambda: (
-            _read_log_beside(paths[0], float(starts[-1]))
+            _read_sidecar_log(paths[0], float(starts[-1]))
             or join_telemetry([part.read_telemetry() for part in parts], starts)
         ),
         keyframe_interval=max(part.keyframe_interval for part in parts),
@@ -324,7 +324,7 @@ def _read_telemetry(path: Path, file: VideoFile) -> Telemetry | None:
     sidecars = [path.with_suffix(suffix) for suffix in (".SRT", ".srt")]
     found = next((read_srt(sidecar) for sidecar in sidecars if sidecar.exists()), None)
     if found is None:
-        found = _read_log_beside(path, file.count / file.rate if file.count else math.nan)
+        found = _read_sidecar_log(path, file.count / file.rate if file.count else math.nan)
     if found is None:
         found = read_subtitles(path, 0.0 if np.isnan(file.start) else file.start)
     if found is None or file.quarter_turns % 4 == 0:
@@ -334,7 +334,7 @@ def _read_telemetry(path: Path, file: VideoFile) -> Telemetry | None:
     return replace(found, yaw=np.full_like(found.yaw, np.nan), remarks=remarks)
 
 
-def _read_log_beside(path: Path, duration: float) -> Telemetry | None:
+def _read_sidecar_log(path: Path, duration: float) -> Telemetry | None:
     """Telemetry from the flight log of the same name as a video, or None."""
     logs = [path.with_suffix(suffix) for suffix in (".csv", ".CSV")]
     found = next((log for log in logs if log.is_file() and is_flight_log(log)), None)
