@@ -63,7 +63,7 @@ from geoaim.tracking.verdicts import (
     measure_registration,
 )
 from geoaim.tracks.agent_types import select_group
-from geoaim.tracks.changes import resample_tracks
+from geoaim.tracks.changes import MAX_GAP_S, resample_tracks
 from geoaim.tracks.files import write_tracks
 from geoaim.tracks.formats.shared import check_resolution
 from geoaim.tracks.lights import Lights, read_lights, read_stop_lines
@@ -330,7 +330,7 @@ def _track(
     try:
         followed = follow_video(video, aim, evidence.detections, hdmap, None, progress)
         if evidence.detections is None:
-            followed = replace(followed, tracks=_thin(followed.tracks))
+            followed = replace(followed, tracks=_fill(followed.tracks))
         return followed, ""
     except (TracksError, RegistrationError) as error:
         if evidence.detections is not None:
@@ -347,8 +347,10 @@ def _film(
     progress: Progress,
 ) -> None:
     """Write a film of the tracks on the video, and beside it on the map, with the lights."""
-    tracks = _thin(followed.tracks)
+    tracks = followed.tracks
     rate = 1 / float(np.median(np.diff(tracks.times)))
+    if rate > FILM_RATE:
+        tracks, rate = resample_tracks(tracks, FILM_RATE), FILM_RATE
     on_video = draw_on_video(
         video, followed.poses, tracks, height=FILM_HEIGHT_PX, trail=FILM_TRAIL_S
     )
@@ -358,10 +360,10 @@ def _film(
     write_pictures(reported, path, frame_rate=rate)
 
 
-def _thin(tracks: Tracks) -> Tracks:
-    """Resample tracks of many states a second to the rate of the film."""
-    is_dense = np.median(np.diff(tracks.times)) < 1 / FILM_RATE
-    return resample_tracks(tracks, FILM_RATE) if is_dense else tracks
+def _fill(tracks: Tracks) -> Tracks:
+    """Resample tracks to the rate of the film, unless their states are too far apart."""
+    is_close = np.median(np.diff(tracks.times)) <= MAX_GAP_S
+    return resample_tracks(tracks, FILM_RATE) if is_close else tracks
 
 
 def _put_beside(one: UInt8[Array, "h w 3"], other: UInt8[Array, "H W 3"]) -> UInt8[Array, "_ _ 3"]:

@@ -57,6 +57,7 @@ def test_a_video_alone_gives_a_folder_with_all(junction):
     aim, tracks = geoaim.read_aim(folder), geoaim.read_tracks(folder)
     assert aim.resolution == pytest.approx(RESOLUTION, rel=0.25)
     assert len(tracks.ids) >= 5
+    np.testing.assert_allclose(np.diff(tracks.times), 0.1, atol=1e-6)  # of 8 frames a second
     length = np.median(tracks.sizes[[kind == "car" for kind in tracks.types], 0])
     assert 3.5 < length < 5.5
     film = open_video(folder / "film.mp4")

@@ -12,6 +12,8 @@ from geoaim.base.geometry import wrap_angle
 from geoaim.base.world import World, change_world
 from geoaim.tracks.tracks import MAX_STATES, STATED, TICKS_PER_S, Tracks, describe_times
 
+MAX_GAP_S = 0.5  # between states of an agent, that is filled unless another one is asked for
+
 
 def to_world(tracks: Tracks, world: World) -> Tracks:
     """Transform tracks to another world: positions and headings; sizes and speeds stay.
@@ -174,7 +176,7 @@ def _make_unique(parts: Sequence[Tracks]) -> tuple[str, ...]:
     return tuple(ids)
 
 
-def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tracks:
+def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = MAX_GAP_S) -> Tracks:
     """Resample tracks at an even rate, from their first time on.
 
     Positions and speeds are interpolated linearly in time, headings along the shorter turn; at a
