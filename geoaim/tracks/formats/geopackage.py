@@ -1,11 +1,14 @@
 """Tracks in a GeoPackage (OGC 12-128r18), which QGIS and other programs show on a map.
 
-The layer `states` has a point for each agent and time, the layer `paths` a line for each agent.
+The layer `states` has a point for each agent and time, the layer `paths` a line for each agent;
+`layer_styles` is the table in which QGIS looks for the style of a layer.
 """
 
 import json
 import os
+import sqlite3
 import warnings
+from contextlib import closing
 from datetime import datetime
 from pathlib import Path
 from types import ModuleType
@@ -21,6 +24,7 @@ from geoaim.base.limits import check_memory, open_sqlite, refuse_damaged
 from geoaim.base.world import World
 from geoaim.tracks.files import choose_own_world, place_rows
 from geoaim.tracks.formats.shared import TrackFormat
+from geoaim.tracks.qgis_style import ARROW, LINE, TEMPORAL, make_qml
 from geoaim.tracks.tables import make_tracks
 from geoaim.tracks.tracks import COLUMNS, Tracks
 
@@ -32,6 +36,12 @@ DATE = f"{EPOCH}T00:00:00.000Z"  # instead of the time of writing: same tracks, 
 CLOCK = "datetime"  # column by which QGIS's temporal controller plays, in UTC
 UTC = 100  # as GDAL numbers time zones
 SQLITE = b"SQLite format 3\0"  # first bytes: GDAL would open other formats by the name .gpkg
+# as QGIS makes it
+STYLES = """CREATE TABLE layer_styles (id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+f_table_catalog TEXT(256), f_table_schema TEXT(256), f_table_name TEXT(256),
+f_geometry_column TEXT(256), styleName TEXT(30), styleQML TEXT, styleSLD TEXT, useAsDefault BOOLEAN,
+description TEXT, owner TEXT(30), ui TEXT(30),
+update_time DATETIME DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')))"""
 
 
 def write_geopackage(
@@ -86,6 +96,7 @@ def write_geopackage(
                 )
         finally:
             pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
+        _write_styles(temporary, tracks)
 
 
 def read_geopackage(path: str | os.PathLike[str]) -> Tracks:
@@ -188,6 +199,31 @@ def _check_tables(path: Path) -> None:
         (count,) = database.execute("SELECT count(*) FROM states").fetchone()
     # 1000 bytes of memory for a row
     check_memory(path, count * 1000, path.stat().st_size, TracksError, f"{count} rows")
+
+
+def _write_styles(path: Path, tracks: Tracks) -> None:
+    """Add the table `layer_styles`, in which QGIS looks for the style of a layer.
+
+    By sqlite3, since GDAL tells of no full disk when it closes a file.
+    """
+    step = float(np.median(np.diff(tracks.times))) if len(tracks.times) > 1 else 1.0
+    temporal = TEMPORAL.format(CLOCK, round(step * 1000))
+    styles = {
+        "states": make_qml(tracks.types, ARROW, temporal),
+        "paths": make_qml(tracks.types, LINE),
+    }
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(STYLES)
+        database.execute(
+            "INSERT INTO gpkg_contents (table_name, data_type, identifier, last_change, srs_id) "
+            "VALUES ('layer_styles', 'attributes', 'layer_styles', ?, 0)",
+            [DATE],
+        )
+        database.executemany(
+            "INSERT INTO layer_styles VALUES (NULL, '', '', ?, 'geom', 'agents', ?, '', 1, "
+            "'by type', '', NULL, ?)",
+            [(layer, style, DATE) for layer, style in styles.items()],
+        )
 
 
 def _read_origin(info: dict[str, Any]) -> tuple[float, float] | None:
