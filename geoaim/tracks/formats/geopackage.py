@@ -22,6 +22,7 @@ from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_write
 from geoaim.base.limits import check_memory, open_sqlite, refuse_damaged
 from geoaim.base.world import World
+from geoaim.tracks.dates import DATES, EPOCH, add_dates
 from geoaim.tracks.files import choose_own_world, place_rows
 from geoaim.tracks.formats.shared import TrackFormat
 from geoaim.tracks.qgis_style import ARROW, LINE, TEMPORAL, make_qml
@@ -31,9 +32,7 @@ from geoaim.tracks.tracks import COLUMNS, Tracks
 NEEDED = "a GeoPackage of tracks"
 STATE_COLUMNS = tuple(name for name in COLUMNS if name not in ("x", "y"))
 NUMBERS = STATE_COLUMNS[2:]
-EPOCH = "1970-01-01"  # at which `time` is 0, where nobody says when that was
 DATE = f"{EPOCH}T00:00:00.000Z"  # instead of the time of writing: same tracks, same bytes
-CLOCK = "datetime"  # column by which QGIS's temporal controller plays, in UTC
 UTC = 100  # as GDAL numbers time zones
 SQLITE = b"SQLite format 3\0"  # first bytes: GDAL would open other formats by the name .gpkg
 # as QGIS makes it
@@ -61,14 +60,13 @@ def write_geopackage(
         ImportError: pyogrio is missing.
         ValueError: no agent is present, or `start` is no date.
     """
-    moment = parse_start(start)
     pyogrio = _import_pyogrio()
-    frame = tracks.to_dataframe()
+    frame = add_dates(tracks.to_dataframe(), start)
     if not len(frame):
         raise ValueError(f"no agent is present in the tracks; {path} would have no rows")
     points = shapely.points(frame[["x", "y"]].to_numpy() + tracks.world.origin)
-    clock = moment + (frame["time"].to_numpy() * 1000).round().astype("timedelta64[ms]")
-    states = frame[list(STATE_COLUMNS)].assign(**{CLOCK: clock})
+    dates = frame[DATES].dt.round("ms").dt.tz_localize(None).astype("datetime64[ms]")
+    states = frame[list(STATE_COLUMNS)].assign(**{DATES: dates})
     paths, lines = _list_paths(tracks)
     # other programs ignore the description, which brings the origin back
     origin = json.dumps({"origin": list(map(float, tracks.world.origin))})
@@ -92,7 +90,7 @@ def write_geopackage(
                     crs=tracks.world.crs,
                     driver="GPKG",
                     layer_options=options,
-                    gdal_tz_offsets={CLOCK: np.full(len(table), UTC)} if CLOCK in table else None,
+                    gdal_tz_offsets={DATES: np.full(len(table), UTC)} if DATES in table else None,
                 )
         finally:
             pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
@@ -137,20 +135,6 @@ def read_geopackage(path: str | os.PathLike[str]) -> Tracks:
         origin = _read_origin(info)
         world = choose_own_world(places, crs) if origin is None else World(crs, origin)
         return make_tracks(place_rows(frame, places, crs, world)[list(COLUMNS)], world)
-
-
-def parse_start(start: str | datetime) -> np.datetime64:
-    """Parse a date and time, in UTC if it names no zone, to the millisecond.
-
-    >>> str(parse_start("2026-06-01 12:00+02:00"))
-    '2026-06-01T10:00:00.000'
-    """
-    try:
-        return np.datetime64(pd.to_datetime(start, utc=True).tz_localize(None), "ms")
-    except (ValueError, TypeError) as error:
-        raise ValueError(
-            f"{start!r} is not a date and time, such as 2026-06-01T12:00:00Z"
-        ) from error
 
 
 def _read_clock(frame: pd.DataFrame) -> pd.DataFrame:
@@ -207,7 +191,7 @@ def _write_styles(path: Path, tracks: Tracks) -> None:
     By sqlite3, since GDAL tells of no full disk when it closes a file.
     """
     step = float(np.median(np.diff(tracks.times))) if len(tracks.times) > 1 else 1.0
-    temporal = TEMPORAL.format(CLOCK, round(step * 1000))
+    temporal = TEMPORAL.format(DATES, round(step * 1000))
     styles = {
         "states": make_qml(tracks.types, ARROW, temporal),
         "paths": make_qml(tracks.types, LINE),
