@@ -171,8 +171,8 @@ def _read_built(
     if path.suffix.lower() not in (".tif", ".tiff") or not path.is_file():
         return None
     try:
-        with open_aim(path) as (_, _, report):
-            is_built = "background" in report
+        with open_aim(path) as file:
+            is_built = "background" in file.report
     except AimError:
         return None  # imagery
     if not is_built:
