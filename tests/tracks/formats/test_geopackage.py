@@ -6,6 +6,7 @@ import sys
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pyogrio
@@ -53,6 +54,7 @@ def test_file_has_what_every_geopackage_has(written):
     assert ask(written, "SELECT table_name, data_type, srs_id FROM gpkg_contents") == [
         ("states", "features", 32635),
         ("paths", "features", 32635),
+        ("layer_styles", "attributes", 0),
     ]
     assert ask(written, "PRAGMA integrity_check") == [("ok",)]
     assert ask(written, "PRAGMA foreign_key_check") == []
@@ -67,6 +69,30 @@ def test_states_have_dates_that_gis_programs_play(tmp_path, written):
     assert dict(zip(info["fields"], info["dtypes"], strict=True))["datetime"] == "datetime64[ms]"
     with pytest.raises(ValueError, match="'noon' is not a date and time"):
         write_geopackage(SAMPLE, tmp_path / "b.gpkg", start="noon")
+
+
+def test_qgis_finds_styles_by_type_turned_by_heading_and_played_by_date(written):
+    # the query of QGIS for the style of a layer, which it takes where one is the default
+    query = (
+        "SELECT styleQML FROM layer_styles WHERE f_table_schema = '' AND f_table_name = '{}' "
+        "AND f_geometry_column = 'geom' AND useAsDefault = 1"
+    )
+    assert ask(written, "SELECT column_name FROM gpkg_geometry_columns") == [("geom",)] * 2
+    states, paths = (
+        ElementTree.fromstring(ask(written, query.format(layer))[0][0])
+        for layer in ("states", "paths")
+    )
+    played = states.find("temporal").attrib
+    assert (played["startField"], played["fixedDuration"]) == ("datetime", "100")
+    for root, colour in ((states, "color"), (paths, "line_color")):
+        numbers = {one.get("value"): one.get("symbol") for one in root.iter("category")}
+        assert list(numbers) == sorted(set(SAMPLE.types))
+        symbols = {one.get("name"): one for one in root.iter("symbol")}
+        assert set(symbols) == set(numbers.values())
+        car = symbols[numbers["car"]].find("layer")
+        assert car.find(f"Option/Option[@name='{colour}']").get("value") == "26,89,230,255"
+    angle = states.find(".//Option[@name='angle']/Option[@name='expression']")
+    assert angle.get("value") == '90 - degrees("heading")'
 
 
 def test_dates_and_multipoints_of_gis_programs_are_read(tmp_path, written):
