@@ -4,19 +4,20 @@ import json
 import os
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from mmap import mmap
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rasterio
-from jaxtyping import Float
+from jaxtyping import Bool, Float, UInt8, UInt16
 from numpy import ndarray as Array
 from pyproj import CRS
 from rasterio._err import CPLE_BaseError
 from rasterio.enums import ColorInterp
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
 
 from geoaim.aim.aim import AIM
 from geoaim.aim.position import bind_report
@@ -28,7 +29,7 @@ from geoaim.base.checksums import (
     verify_checksum,
     write_checksum,
 )
-from geoaim.base.errors import AimError
+from geoaim.base.errors import AimError, warn
 from geoaim.base.files import MAP_FILE, atomic_write, find_in_folder
 from geoaim.base.geometry import translation
 from geoaim.base.grid import Grid
@@ -36,17 +37,60 @@ from geoaim.base.limits import check_memory, refuse_damaged
 from geoaim.base.raster_files import create_raster_file, open_raster_file
 from geoaim.base.world import World
 
-FORMAT = FileFormat("AIM", 1, 2, first_checked=2, error=AimError, editable=True)
+FORMAT = FileFormat("AIM", 1, 3, first_checked=2, error=AimError, editable=True)
 BYTES_PER_PIXEL = 12  # memory needed to read an AIM
-BANDS = ("red", "green", "blue", "alpha", "contested", "coverage, low byte", "coverage, high byte")
+BANDS = ("red", "green", "blue")
+DOUBT_BANDS = ("coverage", "contested")  # of the second GeoTIFF, since format 3
+EARLIER_BANDS = (*BANDS, "alpha", "contested", "coverage, low byte", "coverage, high byte")
+DOUBT_ADDRESS = "/vsisubfile/{:012d},"  # GDAL's name of what follows that many bytes of a file
+
+
+class OpenAIM(NamedTuple):
+    """An open file of `write_aim`, whose pixels are read when they are wanted.
+
+    The readers take rasterio's options of a part and its size, `window` and `out_shape` (h, w).
+    """
+
+    dataset: Any  # of rasterio: the image, and in files before format 3 all else
+    doubt: Any  # of rasterio: coverage and contested; None: earlier, or another program left it out
+    grid: Grid  # with the world
+    report: dict[str, Any]
+
+    def read_image(self, **part: Any) -> UInt8[Array, "h w 3"]:
+        """Read the colours."""
+        size = part.pop("out_shape", None)
+        bands = self.dataset.read([1, 2, 3], out_shape=size and (3, *size), **part)
+        return np.ascontiguousarray(np.moveaxis(bands, 0, -1))
+
+    def read_mask(self, **part: Any) -> Bool[Array, "h w"]:
+        """Read where a frame saw the ground."""
+        return np.asarray(self.dataset.dataset_mask(**part) > 0)
+
+    def read_coverage(self, **part: Any) -> UInt16[Array, "h w"]:
+        """Read the number of frames behind each pixel."""
+        if self.doubt is not None:
+            return np.asarray(self.doubt.read(1, **part))
+        if self.dataset.count < len(EARLIER_BANDS):
+            return self.read_mask(**part).astype(np.uint16)
+        low, high = (self.dataset.read(band, **part).astype(np.uint16) for band in (6, 7))
+        return np.asarray(low + high * 256)
+
+    def read_contested(self, **part: Any) -> Bool[Array, "h w"]:
+        """Read where the frames do not determine the ground."""
+        if self.doubt is not None:
+            return np.asarray(self.doubt.read(2, **part) > 0)
+        if self.dataset.count < len(EARLIER_BANDS):
+            return np.zeros_like(self.read_mask(**part))
+        return np.asarray(self.dataset.read(5, **part) > 127)
 
 
 def write_aim(aim: AIM, path: str | os.PathLike[str]) -> None:
     """Write an AIM as one GeoTIFF (cloud-optimised, lossless) that GIS programs open directly.
 
-    Bands: red, green, blue, alpha (255 where the coverage is not 0), contested (255 or 0), and
-    the low and high bytes of the coverage. The world, the exact matrix and the report are in the
-    tags GEOAIM and GEOAIM_REPORT. An existing file is replaced only when the new one is complete.
+    It holds red, green and blue with a mask of where the coverage is not 0. The coverage and the
+    contested pixels are a second GeoTIFF at the end of the same file. The world, the exact matrix
+    and the report are in the tags GEOAIM and GEOAIM_REPORT. An existing file is replaced only when
+    the new one is complete.
 
     Args:
         aim: the AIM to write. It is rectified first when its transform is not affine, since a
@@ -59,42 +103,16 @@ def write_aim(aim: AIM, path: str | os.PathLike[str]) -> None:
     """
     if not aim.is_affine:
         aim = rectify(aim)
-    profile = {**_make_profile(aim), "count": len(BANDS)}
     try:
         with atomic_write(path) as temporary:
-            with _allow_identity_transform(), create_raster_file(temporary, profile) as dataset:
+            with (
+                _allow_identity_transform(),
+                create_raster_file(temporary, _make_profile(aim, "uint8", len(BANDS))) as dataset,
+            ):
                 _write_bands(dataset, aim)
                 _write_tags(dataset, aim)
+            _append_doubt(temporary, aim)
             write_checksum(temporary)
-    except (RasterioError, CPLE_BaseError, OSError) as error:
-        raise AimError(f"{Path(path).name} could not be written: {error}") from error
-
-
-def write_rgb(aim: AIM, path: str | os.PathLike[str]) -> None:
-    """Write the image of an AIM as a GeoTIFF of red, green and blue with a mask.
-
-    It is for tools that take three bands, such as rio-tiler. The coverage, the contested pixels and
-    the report are not in it: `read_aim` needs a file of `write_aim`.
-
-    Args:
-        aim: the AIM to write; rectified first when its transform is not affine.
-        path: the .tif file.
-
-    Raises:
-        AimError: the grid would be too large, or the file cannot be written.
-    """
-    if not aim.is_affine:
-        aim = rectify(aim)
-    profile = {**_make_profile(aim), "count": 3}
-    try:
-        with (
-            atomic_write(path) as temporary,
-            _allow_identity_transform(),
-            create_raster_file(temporary, profile) as dataset,
-        ):
-            dataset.write(np.moveaxis(aim.image, -1, 0))
-            dataset.write_mask(aim.coverage > 0)
-            dataset.colorinterp = [ColorInterp.red, ColorInterp.green, ColorInterp.blue]
     except (RasterioError, CPLE_BaseError, OSError) as error:
         raise AimError(f"{Path(path).name} could not be written: {error}") from error
 
@@ -103,37 +121,44 @@ def read_aim(path: str | os.PathLike[str]) -> AIM:
     """Read a file that `write_aim` wrote, or the map in a folder that `geoaim place` wrote.
 
     A file that a GIS program has cropped or resampled since is read with its new transform, as
-    long as its CRS and bands are the same.
+    long as its CRS and bands are the same. Such programs keep the picture alone: its coverage is
+    then 1 where the mask is, and nothing is contested, with a warning.
 
     Raises:
         FileNotFoundError: there is no such file.
         AimError: the file is not an AIM, is damaged, or needs too much memory.
     """
     path = find_in_folder(path, MAP_FILE)
-    with open_aim(path) as (dataset, grid, report):
-        assert grid.world is not None
-        claim = f"{dataset.height} x {dataset.width} pixels"
-        needed = BYTES_PER_PIXEL * dataset.height * dataset.width
-        check_memory(path, needed, os.path.getsize(path), AimError, claim)
+    with open_aim(path) as file:
+        height, width = file.grid.shape
+        claim = f"{height} x {width} pixels"
+        check_memory(path, BYTES_PER_PIXEL * height * width, os.path.getsize(path), AimError, claim)
+        if file.doubt is None and file.dataset.count < len(EARLIER_BANDS):
+            warn(
+                f"{path} was written anew by another program, which leaves out how many frames are "
+                "behind each pixel and which ones are contested: it is read as if every pixel were "
+                "of one frame and sure"
+            )
+        assert file.grid.world is not None
         return AIM(
-            image=np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1)),
-            world_from_image=grid.world_from_grid,
-            world=grid.world,
-            coverage=dataset.read(6) + dataset.read(7).astype(np.uint16) * 256,
-            contested=dataset.read(5) > 0,
-            report=report,
+            image=file.read_image(),
+            world_from_image=file.grid.world_from_grid,
+            world=file.grid.world,
+            coverage=file.read_coverage(),
+            contested=file.read_contested(),
+            report=file.report,
         )
 
 
 @contextmanager
-def open_aim(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Grid, dict[str, Any]]]:
+def open_aim(path: str | os.PathLike[str]) -> Iterator[OpenAIM]:
     """Open a file that `write_aim` wrote, without reading its pixels.
 
     Args:
         path: the file.
 
     Yields:
-        The open rasterio dataset with the bands `BANDS`; its grid, with the world; the report.
+        The open file.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -156,18 +181,34 @@ def open_aim(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Grid, dict[str
             written = np.array(frame["world_from_image"], np.float64)
             report = bind_report(report, replace(grid, world_from_grid=written))
         report = bind_report(report, grid)
-        yield dataset, grid, report
+        with _open_doubt(dataset, path) as doubt:
+            yield OpenAIM(dataset, doubt, grid, report)
 
 
-def _make_profile(aim: AIM) -> dict[str, Any]:
-    """The profile of rasterio of a cloud-optimised, lossless GeoTIFF, without its bands."""
+@contextmanager
+def _open_doubt(dataset: Any, path: str | os.PathLike[str]) -> Iterator[Any]:
+    """Open the second GeoTIFF of an open file; None where it has none any more."""
+    with ExitStack() as stack:
+        try:
+            start = int(dataset.tags()["GEOAIM_DOUBT"].rstrip(",").rpartition("/")[2])
+            address = DOUBT_ADDRESS.format(start) + os.fspath(path)
+            doubt = stack.enter_context(rasterio.open(address, driver="GTiff", sharing=False))
+        except (KeyError, ValueError, RasterioIOError):
+            doubt = None
+        is_whole = doubt and doubt.shape == dataset.shape and doubt.descriptions == DOUBT_BANDS
+        yield doubt if is_whole else None
+
+
+def _make_profile(aim: AIM, dtype: str, count: int) -> dict[str, Any]:
+    """The profile of rasterio of a cloud-optimised, lossless GeoTIFF."""
     height, width = aim.coverage.shape
     crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
     return {
         "driver": "COG",
         "height": height,
         "width": width,
-        "dtype": "uint8",
+        "dtype": dtype,
+        "count": count,
         "crs": aim.world.crs,
         "transform": rasterio.Affine(*crs_from_image[:2].flat),
         "compress": "deflate",
@@ -186,15 +227,26 @@ def _allow_identity_transform() -> Iterator[None]:
 
 
 def _write_bands(dataset: Any, aim: AIM) -> None:
-    dataset.write(np.moveaxis(aim.image, -1, 0), [1, 2, 3])
-    dataset.write((aim.coverage > 0).astype(np.uint8) * 255, 4)
-    dataset.write(aim.contested.astype(np.uint8) * 255, 5)
-    dataset.write((aim.coverage & 255).astype(np.uint8), 6)
-    dataset.write((aim.coverage >> 8).astype(np.uint8), 7)
-    dataset.write_mask(aim.coverage > 0)  # GDAL reads alpha only from files with four bands
-    colours = [ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha]
-    dataset.colorinterp = colours + [ColorInterp.undefined] * (len(BANDS) - 4)
+    dataset.write(np.moveaxis(aim.image, -1, 0))
+    dataset.write_mask(aim.coverage > 0)
+    dataset.colorinterp = [ColorInterp.red, ColorInterp.green, ColorInterp.blue]
     dataset.descriptions = BANDS
+
+
+def _append_doubt(path: Path, aim: AIM) -> None:
+    """Append coverage and contested pixels as a second GeoTIFF; a tag of the first says where.
+
+    Tile servers take all bands for the picture, and an internal second image makes QGIS ask which
+    one is meant.
+    """
+    start = path.stat().st_size
+    profile = _make_profile(aim, "uint16", len(DOUBT_BANDS))
+    with _allow_identity_transform(), create_raster_file(path, profile, append=True) as dataset:
+        dataset.write(np.stack([aim.coverage, aim.contested * np.uint16(255)]))
+        dataset.descriptions = DOUBT_BANDS
+    with path.open("r+b") as file, mmap(file.fileno(), start) as data:
+        place = data.find(DOUBT_ADDRESS.format(0).encode())
+        data[place : place + len(DOUBT_ADDRESS.format(0))] = DOUBT_ADDRESS.format(start).encode()
 
 
 def _write_tags(dataset: Any, aim: AIM) -> None:
@@ -204,7 +256,10 @@ def _write_tags(dataset: Any, aim: AIM) -> None:
         "world_from_image": aim.world_from_image.tolist(),
     }
     dataset.update_tags(
-        GEOAIM=json.dumps(frame), GEOAIM_REPORT=json.dumps(aim.report), GEOAIM_CHECKSUM=PLACEHOLDER
+        GEOAIM=json.dumps(frame),
+        GEOAIM_DOUBT=DOUBT_ADDRESS.format(0),
+        GEOAIM_REPORT=json.dumps(aim.report),
+        GEOAIM_CHECKSUM=PLACEHOLDER,
     )
 
 
@@ -220,9 +275,11 @@ def _read_frame(dataset: Any, path: str | os.PathLike[str], has_checksum: bool) 
         )
     frame: dict[str, Any] = json.loads(tag)
     check_version(path, frame.get("format"), FORMAT, has_checksum=has_checksum)
-    if dataset.descriptions != BANDS or set(dataset.dtypes) != {"uint8"}:
+    bands = BANDS if frame["format"] >= 3 else EARLIER_BANDS
+    found = dataset.descriptions[: len(bands)]  # programs make an alpha band of a mask
+    if found != bands or set(dataset.dtypes) != {"uint8"}:
         raise AimError(
-            f"{path} was an AIM and has lost bands: found {content}, needed uint8 {BANDS}"
+            f"{path} was an AIM and has lost bands: found {content}, needed uint8 {bands}"
         )
     return frame
 

@@ -81,16 +81,19 @@ def read_georeference(
 
 @contextmanager
 def create_raster_file(
-    path: str | os.PathLike[str], profile: Mapping[str, object]
+    path: str | os.PathLike[str], profile: Mapping[str, object], *, append: bool = False
 ) -> Iterator[Any]:
     """Yield a new dataset with rasterio's profile; its file is written when the block ends.
+
+    With `append` it is written behind what the file holds.
 
     It is made in memory first: on a full disk GDAL leaves a part of the file without an error.
     """
     with MemoryFile() as memory:
         with memory.open(**profile) as dataset:
             yield dataset
-        Path(path).write_bytes(memory.getbuffer())
+        with Path(path).open("ab" if append else "wb") as file:
+            file.write(memory.getbuffer())
 
 
 def _recognise(path: Path, drivers: Sequence[str]) -> str:

@@ -65,10 +65,6 @@ def align(
             help="with --points: 'similarity' for a picture that is an orthophoto, free of tilt"
         ),
     ] = "auto",
-    bands: Annotated[
-        Literal["all", "rgb"],
-        typer.Option(help="bands to write: an AIM, or red, green and blue only for other programs"),
-    ] = "all",
     max_shift: Annotated[float, typer.Option(help="largest expected shift, m", min=1)] = MAX_SHIFT,
     max_rotation: Annotated[
         float, typer.Option(help="largest expected rotation, degrees", min=0, max=45)
@@ -87,7 +83,7 @@ def align(
 
     Example: geoaim align samples/ortho.tif --tracks samples/tracks.csv -o ortho.tif
     """
-    from geoaim.aim.files import write_aim, write_rgb
+    from geoaim.aim.files import write_aim
     from geoaim.base.files import atomic_files, write_figure
     from geoaim.imagery.alignment.before_after import draw_alignment
     from geoaim.imagery.alignment.pipeline import align_tiles
@@ -120,7 +116,7 @@ def align(
         if agents is not None:
             agents = to_world(agents, aligned.world)
         with atomic_files(output, look) as (map_part, look_part):
-            (write_rgb if bands == "rgb" else write_aim)(aligned, map_part)
+            write_aim(aligned, map_part)
             write_figure(draw_alignment(aligned, aim=reference, tracks=agents), look_part)
     print_result([output, look], aligned.summarize(), as_json, report=aligned.report)
 

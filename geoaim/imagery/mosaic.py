@@ -289,8 +289,8 @@ def _keep_position(mosaic: Mosaic, sources: Sequence[_Source]) -> Mosaic:
     if len(paths) != 1 or Path(paths[0]).suffix.lower() not in (".tif", ".tiff"):
         return mosaic
     try:
-        with open_aim(paths[0]) as (_, _, report):
-            position = report.get("position")
+        with open_aim(paths[0]) as file:
+            position = file.report.get("position")
     except GeoaimError:
         return mosaic  # an image that is no AIM
     stated = {} if position is None else {"position": position}

@@ -133,9 +133,9 @@ def read_map_world(path: str | os.PathLike[str]) -> World:
     """Read the world of an AIM file, or of a texture."""
     if is_texture(path):
         return read_texture(path).world
-    with open_aim(path) as (_, grid, _):
-        assert grid.world is not None
-        return grid.world
+    with open_aim(path) as file:
+        assert file.grid.world is not None
+        return file.grid.world
 
 
 class _OpenMap(NamedTuple):
@@ -152,13 +152,12 @@ def _open_map(aim: MapSource, stack: ExitStack) -> _OpenMap:
         return _OpenMap(aim.grid, map_layers.tile_aim(aim), "AIM", float(aim.coverage.max()))
     if is_texture(aim):
         return _open_map(read_texture(aim), stack)
-    dataset, grid, report = stack.enter_context(open_aim(aim))
-    if not map_layers.is_north_up(grid):
+    file = stack.enter_context(open_aim(aim))
+    if not map_layers.is_north_up(file.grid):
         stack.close()
         return _open_map(read_aim(aim), stack)
-    most = report.get("background", {}).get("frames_used", 1)
-    rasters = map_layers.tile_aim_file(dataset, grid, most)
-    return _OpenMap(grid, rasters, Path(aim).name, most)
+    most = file.report.get("background", {}).get("frames_used", 1)
+    return _OpenMap(file.grid, map_layers.tile_aim_file(file, most), Path(aim).name, most)
 
 
 def _describe_aim(rasters: dict[str, TiledRaster], most: float) -> list[dict[str, Any]]:

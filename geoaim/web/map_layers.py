@@ -1,22 +1,22 @@
 """Map layers of the viewer: an AIM, imagery, HD map, and places of points."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import matplotlib
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, UInt8, UInt16
 from matplotlib.colors import to_hex
 from numpy import ndarray as Array
 from shapely import MultiPolygon
 
 from geoaim.aim.aim import AIM
+from geoaim.aim.files import OpenAIM
 from geoaim.aim.rectification import rectify
 from geoaim.base.grid import Grid
 from geoaim.base.world import World, lonlat_from_world
 from geoaim.hdmap.lanelet2 import HDMap
-from geoaim.web.tiles import Colours, TiledRaster, tile_array, tile_dataset
+from geoaim.web.tiles import Colours, TiledRaster, tile_array, tile_file
 
 CONTESTED_COLOUR, CONTESTED_HEX = (255, 0, 200, 170), "#ff00c8"
 COVERAGE_COLOURS = (matplotlib.colormaps["magma"](np.arange(256))[:, :3] * 255).astype(np.uint8)
@@ -30,25 +30,20 @@ LINE_COLOURS = {  # keys: lanelet2's kinds of line
 Description = dict[str, Any]
 
 
-def colour_coverage(bands: Array, most: float) -> Colours:
-    """Colour the low and the high byte of the coverage (2, h, w); brightest at `most` frames."""
-    coverage = bands[0] + bands[1].astype(np.uint16) * 256
+def colour_coverage(coverage: UInt16[Array, "h w"], most: float) -> Colours:
+    """Colour the coverage; brightest at `most` frames."""
     shade = COVERAGE_COLOURS[np.clip(coverage * (255 / max(most, 1)), 0, 255).astype(np.uint8)]
     return np.dstack([shade, np.where(coverage > 0, 200, 0).astype(np.uint8)])
 
 
-def colour_contested(bands: Array) -> Colours:
-    """Colour pixels where the frames show no clear ground, above 127 in a band (1, h, w)."""
-    return np.array([(0, 0, 0, 0), CONTESTED_COLOUR], np.uint8)[(bands[0] > 127).astype(np.intp)]
+def colour_contested(contested: Bool[Array, "h w"]) -> Colours:
+    """Colour pixels where the frames show no clear ground."""
+    return np.array([(0, 0, 0, 0), CONTESTED_COLOUR], np.uint8)[contested.astype(np.intp)]
 
 
-def list_aim_layers(most: float) -> dict[str, tuple[tuple[int, ...], Callable[[Array], Colours]]]:
-    """List the layers of an AIM by path: bands of its file (`BANDS`, from 1), and their colours."""
-    return {
-        "aim_image": ((1, 2, 3, 4), lambda bands: np.ascontiguousarray(np.moveaxis(bands, 0, -1))),
-        "aim_contested": ((5,), colour_contested),
-        "aim_coverage": ((6, 7), partial(colour_coverage, most=most)),
-    }
+def colour_image(image: UInt8[Array, "h w 3"], mask: Bool[Array, "h w"]) -> Colours:
+    """Make an image transparent where no frame saw the ground."""
+    return np.dstack([image, mask * np.uint8(255)])
 
 
 def is_north_up(grid: Grid) -> bool:
@@ -62,21 +57,22 @@ def tile_aim(aim: AIM) -> dict[str, TiledRaster]:
     """Make tiles of an AIM in memory, by the paths of its layers."""
     if not is_north_up(aim.grid):
         aim = rectify(aim)
-    low, high = (aim.coverage & 255).astype(np.uint8), (aim.coverage >> 8).astype(np.uint8)
-    flags = [(mask * 255).astype(np.uint8) for mask in (aim.coverage > 0, aim.contested)]
-    file_bands = np.stack([*np.moveaxis(aim.image, -1, 0), *flags, low, high])
-    return {
-        path: tile_array(colour(file_bands[np.array(bands) - 1]), aim.grid)
-        for path, (bands, colour) in list_aim_layers(float(aim.coverage.max())).items()
+    layers = {
+        "aim_image": colour_image(aim.image, aim.coverage > 0),
+        "aim_contested": colour_contested(aim.contested),
+        "aim_coverage": colour_coverage(aim.coverage, float(aim.coverage.max())),
     }
+    return {path: tile_array(pixels, aim.grid) for path, pixels in layers.items()}
 
 
-def tile_aim_file(dataset: Any, grid: Grid, most: float) -> dict[str, TiledRaster]:
-    """Make the tiles of `tile_aim` from an open AIM file."""
-    return {
-        path: tile_dataset(dataset, grid, bands, colour)
-        for path, (bands, colour) in list_aim_layers(most).items()
+def tile_aim_file(file: OpenAIM, most: float) -> dict[str, TiledRaster]:
+    """Make the tiles of `tile_aim` from an open AIM file, by its overviews."""
+    layers: dict[str, Callable[..., Colours]] = {
+        "aim_image": lambda **part: colour_image(file.read_image(**part), file.read_mask(**part)),
+        "aim_contested": lambda **part: colour_contested(file.read_contested(**part)),
+        "aim_coverage": lambda **part: colour_coverage(file.read_coverage(**part), most),
     }
+    return {path: tile_file(read, file.grid) for path, read in layers.items()}
 
 
 def describe_raster(name: str, path: str, raster: TiledRaster, **options: object) -> Description:

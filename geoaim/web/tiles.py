@@ -1,7 +1,7 @@
 """Rasters in tiles: a north-up picture at full and at halved resolutions."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
@@ -108,15 +108,12 @@ def tile_array(pixels: Colours, grid: Grid) -> TiledRaster:
     return TiledRaster(grid, read_block)
 
 
-def tile_dataset(
-    dataset: Any, grid: Grid, bands: Sequence[int], colour: Callable[[Array], Colours]
-) -> TiledRaster:
-    """Make tiles of an open rasterio dataset, north up, by its overviews."""
+def tile_file(read: Callable[..., Colours], grid: Grid) -> TiledRaster:
+    """Make tiles of what is read with rasterio's options `window` and `out_shape`, north up."""
 
     def read_block(
         rows: tuple[int, int], columns: tuple[int, int], size: tuple[int, int]
     ) -> Colours:
-        window = Window.from_slices(rows, columns)
-        return colour(dataset.read(list(bands), window=window, out_shape=(len(bands), *size)))
+        return read(window=Window.from_slices(rows, columns), out_shape=size)
 
     return TiledRaster(grid, read_block)

@@ -1,6 +1,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from rasterio.enums import ColorInterp
 from geoaim.aim.aim import AIM
 from geoaim.aim.files import read_aim, write_aim
 from geoaim.aim.rectification import rectify
-from geoaim.base.errors import AimError
+from geoaim.base.errors import AimError, GeoaimWarning
 from geoaim.base.geometry import transform_points
 from geoaim.base.world import World
 from tests.aim.test_aim import TURNED, UTM, make_aim
@@ -84,13 +85,35 @@ def test_file_is_a_tiled_lossless_cog_that_shows_colours_and_transparency(tmp_pa
         assert dataset.tags(ns="IMAGE_STRUCTURE")["PREDICTOR"] == "2"
         assert dataset.profile["tiled"]
         assert dataset.overviews(1) == [2, 4]
-        assert dataset.colorinterp[:4] == (
-            ColorInterp.red,
-            ColorInterp.green,
-            ColorInterp.blue,
-            ColorInterp.alpha,
-        )
+        assert dataset.colorinterp == (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+        assert not dataset.subdatasets  # QGIS would ask which one is meant
         np.testing.assert_array_equal(dataset.dataset_mask() > 0, aim.coverage > 0)
+
+
+def test_coverage_and_contested_are_a_second_geotiff_that_the_first_names(tmp_path):
+    path, aim = tmp_path / "a b,ü.tif", make_aim(700, 1100)
+    write_aim(aim, path)
+    with (
+        rasterio.open(path) as dataset,
+        rasterio.open(f"{dataset.tags()['GEOAIM_DOUBT']}{path}") as doubt,
+    ):
+        assert (doubt.crs, doubt.transform) == (dataset.crs, dataset.transform)
+        assert doubt.descriptions == ("coverage", "contested")
+        np.testing.assert_array_equal(doubt.read(1), aim.coverage)
+        np.testing.assert_array_equal(doubt.read(2) > 0, aim.contested)
+
+
+def test_the_default_picture_of_rio_tiler_shows_colours_and_mask(tmp_path):
+    rio_tiler = pytest.importorskip("rio_tiler.io", reason="pip install rio-tiler")
+    aim = make_aim(300, 400)
+    aim.coverage[:], aim.coverage[:50] = 3, 0
+    write_aim(aim, tmp_path / "aim.tif")
+    with rio_tiler.Reader(tmp_path / "aim.tif") as reader:
+        picture = reader.preview()
+        assert reader.info().nodata_type == "Mask"
+    np.testing.assert_array_equal(np.moveaxis(picture.data, 0, -1), aim.image)
+    np.testing.assert_array_equal(picture.mask > 0, aim.coverage > 0)
+    assert picture.render(img_format="PNG").startswith(b"\x89PNG")
 
 
 def test_report_can_be_read_by_any_program_from_the_tags(tmp_path):
@@ -177,8 +200,10 @@ def test_a_cropped_file_keeps_its_position(tmp_path):
     aim = make_aim()
     write_aim(aim, tmp_path / "aim.tif")
     crop(tmp_path / "aim.tif", tmp_path / "part.tif")
-    part = read_aim(tmp_path / "part.tif")
+    with pytest.warns(GeoaimWarning, match="as if every pixel were of one frame and sure"):
+        part = read_aim(tmp_path / "part.tif")
     np.testing.assert_array_equal(part.image, aim.image[5:21, 10:30])
+    assert not part.contested.any()
     corner = transform_points(aim.world_from_image, np.array([[10.0, 5.0]]))
     np.testing.assert_allclose(part.corners[:1], corner, atol=1e-6)
 
@@ -196,7 +221,10 @@ def test_a_copy_of_a_gis_program_is_read(tmp_path, options):
     aim = make_aim(700, 600)
     write_aim(aim, tmp_path / "aim.tif")
     rasterio.shutil.copy(tmp_path / "aim.tif", tmp_path / "copy.tif", **options)
-    assert_same(read_aim(tmp_path / "copy.tif"), aim)
+    with pytest.warns(GeoaimWarning, match="written anew by another program"):
+        found = read_aim(tmp_path / "copy.tif")
+    seen = (aim.coverage > 0).astype(np.uint16)
+    assert_same(found, replace(aim, coverage=seen, contested=np.zeros_like(aim.contested)))
 
 
 def test_reprojected_file_is_refused(tmp_path):
@@ -206,9 +234,9 @@ def test_reprojected_file_is_refused(tmp_path):
         read_aim(tmp_path / "part.tif")
 
 
-def test_file_that_lost_its_coverage_is_refused(tmp_path):
+def test_file_that_lost_a_colour_is_refused(tmp_path):
     write_aim(make_aim(), tmp_path / "aim.tif")
-    crop(tmp_path / "aim.tif", tmp_path / "part.tif", count=3)
+    crop(tmp_path / "aim.tif", tmp_path / "part.tif", count=2)
     with pytest.raises(AimError, match="lost bands"):
         read_aim(tmp_path / "part.tif")
 
@@ -217,8 +245,8 @@ def test_file_of_a_later_format_is_refused(tmp_path):
     write_aim(make_aim(), tmp_path / "aim.tif")
     with rasterio.open(tmp_path / "aim.tif", "r+", IGNORE_COG_LAYOUT_BREAK="YES") as dataset:
         frame = json.loads(dataset.tags()["GEOAIM"])
-        dataset.update_tags(GEOAIM=json.dumps(frame | {"format": 3}))
-    with pytest.raises(AimError, match="format 3"):
+        dataset.update_tags(GEOAIM=json.dumps(frame | {"format": 4}))
+    with pytest.raises(AimError, match="format 4"):
         read_aim(tmp_path / "aim.tif")
 
 

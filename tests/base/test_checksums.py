@@ -18,6 +18,7 @@ from tests.faults.damage import CHECKED, FORMATS, flip_bits
 READERS = {
     "aim-1.tif": read_aim,
     "aim-2.tif": read_aim,
+    "aim-3.tif": read_aim,
     "model-2.pt": read_model,
     "model-3.pt": read_model,
     "checkpoint-3.pt": read_state,
@@ -35,7 +36,7 @@ def read(name: str):
         return READERS[name](FORMATS / name)
 
 
-@pytest.mark.parametrize("name", ["aim-1.tif", "aim-2.tif"])
+@pytest.mark.parametrize("name", ["aim-1.tif", "aim-2.tif", "aim-3.tif"])
 def test_aims_of_every_version_are_read(name):
     aim = read(name)
     assert aim.world.crs == "EPSG:32635"
@@ -91,7 +92,7 @@ def test_a_file_that_was_cut_or_has_more_bytes_is_refused_by_name(name, tmp_path
             READERS[name](tmp_path / name)
 
 
-@pytest.mark.parametrize("name", ["aim-2.tif", "model-3.pt", "tracks-2.parquet"])
+@pytest.mark.parametrize("name", ["aim-3.tif", "model-3.pt", "tracks-2.parquet"])
 def test_files_are_written_as_by_the_version_of_their_name(name, tmp_path):
     write = {"aim": write_aim, "mod": write_model, "tra": write_tracks}[name[:3]]
     write(read(name), tmp_path / name)

@@ -112,13 +112,12 @@ def test_align_by_hand_says_so(tmp_path):
 
 
 @pytest.mark.parametrize("crs", ["EPSG:3346", "EPSG:32634"])
-def test_align_writes_three_bands_in_another_crs(tmp_path, crs):
+def test_align_writes_another_crs(tmp_path, crs):
     output = tmp_path / "a.tif"
-    given = ["align", "samples/ortho.tif", "--resolution", "1", "--bands", "rgb"]
+    given = ["align", "samples/ortho.tif", "--resolution", "1"]
     result = run(app, [*given, "--output-crs", crs, "-o", f"{output}"])
     assert result.exit_code == 0, result.output
     with rasterio.open(output) as file, rasterio.open("samples/ortho.tif") as ortho:
-        assert file.count == 3
         assert file.crs == crs
         assert file.dataset_mask().any()
         bounds = rasterio.warp.transform_bounds(file.crs, ortho.crs, *file.bounds)

@@ -23,7 +23,7 @@ from geoaim.tracks.files import read_plain_tracks
 FORMATS = Path(__file__).parents[1] / "formats"  # tiny files as each version wrote them
 FLIPS = 10_000
 CHECKED = {
-    "aim-2.tif": read_aim,
+    "aim-3.tif": read_aim,
     "model-3.pt": read_model,
     "checkpoint-3.pt": read_state,
     "tracks-2.parquet": read_plain_tracks,

@@ -19,7 +19,7 @@ from geoaim.base.files import MAP_FILE, find_in_folder
 from geoaim.base.geometry import make_similarity, transform_points, translation
 from geoaim.base.world import World, choose_world, lonlat_from_world
 from geoaim.imagery.alignment.by_control_points import georeference_picture
-from geoaim.imagery.alignment.placement import (
+from geoaim.imagery.alignment.evidence import (
     Evidence,
     apply_alignment,
     list_evidence,
@@ -171,8 +171,8 @@ def _read_built(
     if path.suffix.lower() not in (".tif", ".tiff") or not path.is_file():
         return None
     try:
-        with open_aim(path) as (_, _, report):
-            is_built = "background" in report
+        with open_aim(path) as file:
+            is_built = "background" in file.report
     except AimError:
         return None  # imagery
     if not is_built:
