@@ -103,7 +103,7 @@ def _start_workers(cluster: Cluster) -> Iterator[Any]:
         n_workers=cluster.workers or dask.system.CPU_COUNT,
         threads_per_worker=1,
         memory_limit=cluster.memory_limit,
-        dashboard_address=None,
+        dashboard_address=":0",
         silence_logs=logging.CRITICAL,  # losses of workers are in the records
     ) as local:
         yield local

@@ -280,7 +280,7 @@ def test_reasons_cannot_break_the_page():
 def test_the_command_builds_on_a_cluster_lists_and_shows(table, tmp_path):
     catalog = str(tmp_path / "maps")
     with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
     ) as cluster:
         address = cluster.scheduler_address
         result = run(app, ["catalog", "build", str(table), "-o", catalog, "--scheduler", address])

@@ -17,7 +17,7 @@ from tests.waiting import LIMIT_S
 def test_a_killed_worker_loses_nothing(table, tmp_path):
     catalog = tmp_path / "maps"
     with LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
     ) as cluster:
         started = threading.Event()
 
@@ -69,7 +69,7 @@ def test_an_error_of_a_worker_fails_its_recording_alone(monkeypatch):
     monkeypatch.setattr(engine, "run_task", fail)
     task = make_task(Recording("east", "east.mp4"), [], "maps")
     with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0"
     ) as local:
         cluster = Cluster(local.scheduler_address)
         (record,) = engine.run_tasks([task], cluster, lambda *_: None)
