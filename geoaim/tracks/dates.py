@@ -40,10 +40,12 @@ def add_dates(rows: pd.DataFrame, start: str | datetime) -> pd.DataFrame:
 
 def read_start(path: Path) -> pd.Timestamp | None:
     """Read when `time` was 0, of a GeoPackage or Parquet file whose rows have dates; else None."""
-    rows: list[tuple[float, str | datetime | None]] = []
+    rows: list[tuple[float | str, str | datetime | None]] = []
     if path.suffix.lower() == ".gpkg":
-        with suppress(sqlite3.Error), open_sqlite(path) as database:  # no such column
-            rows = database.execute(f"SELECT time, {DATES} FROM states LIMIT 1").fetchall()
+        with open_sqlite(path) as database:
+            for name in (DATES, "NULL"):
+                with suppress(sqlite3.Error):  # no such column
+                    rows += database.execute(f"SELECT min(time), {name} FROM states").fetchall()
     elif path.suffix.lower() == ".parquet":
         from pyarrow.parquet import ParquetFile
 
@@ -52,6 +54,8 @@ def read_start(path: Path) -> pd.Timestamp | None:
             first = next(file.iter_batches(1, columns=names)).to_pylist()
             rows = [(row["time"], row[DATES]) for row in first]
     for time, date in rows:
+        if isinstance(time, str):  # the column of times has dates
+            return parse_start(time)
         if date is not None:
             return parse_start(date) - pd.Timedelta(seconds=time)
     return None

@@ -20,7 +20,7 @@ import shapely
 
 from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_write
-from geoaim.base.limits import check_memory, open_sqlite, refuse_damaged
+from geoaim.base.limits import check_memory, is_writable_beside, open_sqlite, refuse_damaged
 from geoaim.base.world import World
 from geoaim.tracks.dates import DATES, EPOCH, add_dates
 from geoaim.tracks.files import choose_own_world, place_rows
@@ -112,13 +112,16 @@ def read_geopackage(path: str | os.PathLike[str]) -> Tracks:
     with refuse_damaged(path, TracksError, NEEDED):
         _check_tables(path)
         with warnings.catch_warnings(record=True) as heard:
-            info = pyogrio.read_info(path, layer="states")
+            options = {} if is_writable_beside(path) else {"IMMUTABLE": "YES"}
+            info = pyogrio.read_info(path, layer="states", **options)
             if missing := set(STATE_COLUMNS) - set(info["fields"]):
                 raise TracksError(
                     f"{path}: the layer states has the columns {', '.join(info['fields'])}, and "
                     f"lacks {', '.join(sorted(missing))}: rename or add them"
                 )
-            meta, _, points, values = pyogrio.raw.read(path, layer="states", columns=STATE_COLUMNS)
+            meta, _, points, values = pyogrio.raw.read(
+                path, layer="states", columns=STATE_COLUMNS, **options
+            )
         if heard:  # GDAL goes on with 0 where it cannot read a value
             raise ValueError(heard[0].message)
         frame = _read_clock(pd.DataFrame(dict(zip(meta["fields"], values, strict=True))))
@@ -129,7 +132,10 @@ def read_geopackage(path: str | os.PathLike[str]) -> Tracks:
         is_point = shapely.get_type_id(shapes) == shapely.GeometryType.POINT
         lacking = ~is_point | shapely.is_empty(shapes)
         if lacking.any():
-            raise ValueError(f"row {int(lacking.argmax()) + 1} of the layer states has no point")
+            raise TracksError(
+                f"{path}: row {int(lacking.argmax()) + 1} of the layer states has no point: delete "
+                "such rows, or give them one"
+            )
         places = np.column_stack([shapely.get_x(shapes), shapely.get_y(shapes)])
         crs = None if "Undefined Cartesian" in str(meta["crs"]) else meta["crs"]
         origin = _read_origin(info)

@@ -13,7 +13,7 @@ import pyogrio
 import pytest
 import shapely
 
-from geoaim.base.errors import TracksError
+from geoaim.base.errors import GeoaimError, TracksError
 from geoaim.base.world import World
 from geoaim.tracks.files import read_plain_tracks
 from geoaim.tracks.formats import read_geopackage, read_tracks, write_geopackage
@@ -105,6 +105,17 @@ def test_dates_and_multipoints_of_gis_programs_are_read(tmp_path, written):
     assert read.present.sum() == SAMPLE.present.sum()
 
 
+def test_wal_is_read_in_a_folder_without_leave_to_write_or_is_named(tmp_path, written, monkeypatch):
+    path = Path(shutil.copy(written, tmp_path / "a.gpkg"))
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+    monkeypatch.setattr("geoaim.base.limits.os.access", lambda *_: False)
+    assert read_tracks(path).ids == SAMPLE.ids
+    (tmp_path / "a.gpkg-wal").write_bytes(b"changes")
+    with pytest.raises(GeoaimError, match=r"a\.gpkg-wal holds changes that are not in a\.gpkg yet"):
+        read_tracks(path)
+
+
 def test_paths_are_lines_in_the_crs(written):
     info, _, lines, (names, starts) = pyogrio.raw.read(
         written, layer="paths", columns=["id", "start"]
@@ -127,10 +138,13 @@ def test_paths_are_lines_in_the_crs(written):
             "the layer states has .* and lacks speed: rename or add",
         ),
         ("UPDATE states SET geom = x'00'", "row 1 of the layer states has no point"),
-        ("UPDATE states SET geom = NULL WHERE fid = 7", "row 7 of the layer states has no point"),
+        (
+            "UPDATE states SET geom = NULL WHERE fid = 7",
+            r"a\.gpkg: row 7 of the layer states has no point: delete",
+        ),
         ("UPDATE states SET heading = 'north'", "heading 'north' is not a number"),
         ("DELETE FROM states", "has no rows"),
-        ("DELETE FROM gpkg_contents", "a GeoPackage of tracks, or is damaged"),
+        ("DELETE FROM gpkg_contents", "row 1 of the layer states has no point"),
     ],
 )
 def test_broken_file_is_refused_with_its_reason(tmp_path, written, change, message):
