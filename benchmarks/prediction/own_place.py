@@ -82,6 +82,7 @@ def run(workspace: Workspace) -> list[Path]:
     minutes: dict[str, float] = {}
     means: dict[str, Sequence[Mapping[str, float]]] = {}
     differences: dict[str, Mapping[str, tuple[float, float]]] = {}
+    paths: list[Path] = []
     for part, places in (("validation", VAL), ("test", TEST)):
         for place, read in places.items():
             recording = read()
@@ -105,8 +106,14 @@ def run(workspace: Workspace) -> list[Path]:
             minutes |= {f"{name}, {method}": value for method, value in taken.items()}
             if PLAIN in found:
                 differences[name] = compute_differences(found[AFTER], found[PLAIN])
-    settings = {"minutes": minutes, "trainings": means, "after minus plain network": differences}
-    return write_results("own_place", metrics, settings, workspace.results)
+            settings = {
+                "minutes": minutes,
+                "trainings": means,
+                "after minus plain network": differences,
+            }
+            # after each place: later ones take their minutes
+            paths = write_results("own_place", metrics, settings, workspace.results)
+    return paths
 
 
 def make_place_dataset(model: ITRA, scenes: Sequence[Scene], progress: Progress) -> Dataset:

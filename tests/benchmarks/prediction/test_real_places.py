@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.prediction import observed_states, songdo, zero_shot
+from benchmarks.prediction import observed_states, own_place, songdo, zero_shot
 from benchmarks.prediction.places import read_map, read_recordings
 from benchmarks.prediction.real_places import RealRecording, read_karlsruhe, read_stanford
 from benchmarks.prediction.results import Workspace
@@ -53,6 +53,12 @@ def test_what_is_told_beforehand_is_counted_with_what_came(recording, monkeypatc
     counts = [int(cell.split(",")[0]) for cell in told]
     assert row["untested"] == 1  # nothing was recorded before the first one
     assert sum(counts) == row["starts"] - 1 > 0
+
+
+def test_recordings_of_a_junction_are_of_one_place(recording, monkeypatch):
+    monkeypatch.setattr(own_place, "read_karlsruhe", lambda name: iter([recording, recording]))
+    first, second = own_place._read_junction("here").scenes
+    assert first.ground is second.ground  # models of several places get no network of the place
 
 
 def test_estimates_from_the_past_are_compared(recording, monkeypatch, tmp_path):
