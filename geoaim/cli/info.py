@@ -355,6 +355,6 @@ DESCRIBERS: dict[str, Callable[[str], Description]] = {
     ".osm": _describe_hdmap,
     ".pt": _describe_model,
     ".json": _describe_json,
-    ".geojson": _describe_shapes,
+    **dict.fromkeys((".geojson", ".kml", ".kmz", ".shp", ".fgb"), _describe_shapes),
     ".srt": _describe_telemetry,
 }

@@ -98,7 +98,8 @@ def test_other_files_are_refused_in_one_line(tmp_path):
     (tmp_path / "a.csv").write_text("some,table\n1,2\n")
     (tmp_path / "a.json").write_text("{}")
     (tmp_path / "empty").mkdir()
-    for name in ("a.npz", "a.csv", "a.json", "empty"):
+    (tmp_path / "a.kml").write_text("<kml/>")
+    for name in ("a.npz", "a.csv", "a.json", "a.kml", "empty"):
         with pytest.raises(GeoaimError) as raised:
             describe_file(str(tmp_path / name))
         assert name in str(raised.value)

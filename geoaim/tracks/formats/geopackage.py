@@ -173,7 +173,8 @@ def _check_tables(path: Path) -> None:
             raise TracksError(
                 f"{path} has the layers {', '.join(x for x in layers if not x.startswith(own))}; "
                 f"{NEEDED} has a layer states of points with the columns "
-                f"{', '.join(STATE_COLUMNS)}: rename them"
+                f"{', '.join(STATE_COLUMNS)}: rename them. Areas are read of GeoJSON: "
+                f"ogr2ogr -f GeoJSON OUT.geojson {path.name}"
             )
         columns = database.execute("PRAGMA table_xinfo(states)").fetchall()
         if any(row[6] > 1 for row in columns) or any(
