@@ -71,6 +71,7 @@ def write_geopackage(
     # other programs ignore the description, which brings the origin back
     origin = json.dumps({"origin": list(map(float, tracks.world.origin))})
     options = {"DESCRIPTION": origin, "SPATIAL_INDEX": "NO"}
+    options |= {"DATETIME_PRECISION": "MILLISECOND"}  # SQLite compares dates as texts
     layers = {
         "states": (points, states, "Point"),
         "paths": (np.array(lines, object), paths, "LineString"),
