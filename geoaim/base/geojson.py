@@ -27,7 +27,8 @@ from geoaim.base.world import (
     world_from_crs,
 )
 
-NEEDED = "GeoJSON (of KML, GeoPackage or Shapefile: ogr2ogr -f GeoJSON OUT.geojson IN)"
+NEEDED = "GeoJSON"
+OTHERS = (".kml", ".kmz", ".gpkg", ".shp", ".fgb")  # suffixes of other formats of shapes
 GEOMETRIES = ("Point", "LineString", "Polygon", "MultiPoint", "MultiLineString", "MultiPolygon")
 TYPES = ("FeatureCollection", "Feature", *GEOMETRIES, "GeometryCollection")
 NEAR_DEGREES = 2.0  # between shapes and the map that they are drawn on
@@ -89,6 +90,11 @@ def list_features(path: str | os.PathLike[str]) -> list[Feature]:
 
 def _load_features(path: str | os.PathLike[str]) -> tuple[str | None, list[Feature]]:
     """Load the CRS that a file names, if any, and its features in the file's coordinates."""
+    if (given := Path(path)).suffix.lower() in OTHERS:
+        raise MapError(
+            f"{path} is not GeoJSON, as which shapes are read: make it by "
+            f"ogr2ogr -f GeoJSON {given.stem}.geojson {given.name}, or by QGIS's Save Features As"
+        )
     content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
     if content.get("type") not in TYPES:
         raise ValueError(f"its type is {content.get('type')!r}; {', '.join(TYPES)} are known")

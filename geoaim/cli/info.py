@@ -244,8 +244,11 @@ def _read_columns(source: str) -> set[str]:
             return {name.lower() for name in read_schema(source).names}
         if source.lower().endswith(".gz"):
             return set()
-        with open(source, encoding="utf-8-sig", errors="replace") as file:
-            header = next((line for line in file if line.strip() and line[0] != "#"), "")
+        with open(source, "rb") as file:
+            mark = file.read(3)
+        encoding = "utf-16" if mark.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+        with open(source, encoding=encoding, errors="replace") as text:
+            header = next((line for line in text if line.strip() and line[0] != "#"), "")
     return {name.strip(' "\n').lower() for name in re.split("[,;\t]", header)}
 
 
@@ -274,11 +277,13 @@ def _describe_lights(source: str) -> Description:
 
 
 def _describe_points(source: str) -> Description:
+    from geoaim.base.world import parse_crs
     from geoaim.mapping.georeference.point_files import read_point_file
 
     rows = read_point_file(Path(source))
     frames = ", ".join(dict.fromkeys(row.frame for row in rows if row.frame)) or "the first"
-    crs = ", ".join(dict.fromkeys(row.crs for row in rows if row.crs)) or "not stated: give --crs"
+    names = dict.fromkeys(parse_crs(row.crs).to_string() for row in rows if row.crs)
+    crs = ", ".join(names) or "not stated: give --crs"
     facts = {"points": str(len(rows)), "picked on frame": frames, "CRS": crs}
     return "control points", facts, ("build video.mp4 --points FILE -o map.tif",)
 
@@ -355,6 +360,6 @@ DESCRIBERS: dict[str, Callable[[str], Description]] = {
     ".osm": _describe_hdmap,
     ".pt": _describe_model,
     ".json": _describe_json,
-    ".geojson": _describe_shapes,
+    **dict.fromkeys((".geojson", ".kml", ".kmz", ".shp", ".fgb"), _describe_shapes),
     ".srt": _describe_telemetry,
 }

@@ -44,8 +44,9 @@ def read_start(path: Path) -> pd.Timestamp | None:
     if path.suffix.lower() == ".gpkg":
         with open_sqlite(path) as database:
             for name in (DATES, "NULL"):
+                query = f"SELECT time, {name} FROM states ORDER BY julianday(time) LIMIT 1"
                 with suppress(sqlite3.Error):  # no such column
-                    rows += database.execute(f"SELECT min(time), {name} FROM states").fetchall()
+                    rows += database.execute(query).fetchall()
     elif path.suffix.lower() == ".parquet":
         from pyarrow.parquet import ParquetFile
 

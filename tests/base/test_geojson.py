@@ -90,3 +90,11 @@ def test_a_crs_contradicts_a_local_plane(tmp_path: Path) -> None:
     with pytest.raises(MapError, match="names the CRS EPSG:4326, and the world is a local plane"):
         read_features(path, World(None))
     assert [feature.geometry.geom_type for feature in list_features(path)] == ["Polygon"]
+
+
+@pytest.mark.parametrize("suffix", [".kml", ".kmz", ".gpkg", ".shp"])
+def test_shapes_of_other_formats_are_told_how_to_become_geojson(tmp_path, suffix):
+    path = tmp_path / f"drive{suffix}"
+    path.write_bytes(b"\xa0")
+    with pytest.raises(MapError, match=rf"ogr2ogr -f GeoJSON drive\.geojson drive\{suffix}"):
+        read_features(path, WORLD)

@@ -1,6 +1,7 @@
 import json
 import shlex
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,6 +59,8 @@ def test_maps_textures_folders_and_tables_that_geoaim_writes_are_known(tmp_path)
     write_registration(register(frames), tmp_path / "registration.csv")
     (tmp_path / "points").mkdir()
     (tmp_path / "points" / "gcp_list.txt").write_text("EPSG:32635\n1 2 0 3 4 a.jpg\n")
+    points = Path("samples/gcps.csv").read_text(encoding="utf-8")
+    (tmp_path / "utf16.csv").write_text(points, encoding="utf-16")
     (tmp_path / "futures.csv").write_text("# crs: local\nsample,id,type,time,x,y,heading,speed\n")
     kinds = {
         "aim.tif": "AIM: a map",
@@ -66,6 +69,7 @@ def test_maps_textures_folders_and_tables_that_geoaim_writes_are_known(tmp_path)
         "texture/texture.png": "corner frame of a texture",
         "registration.csv": "registration of the frames of a video",
         "points/gcp_list.txt": "control points",
+        "utf16.csv": "control points",
         "futures.csv": "futures that predict wrote",
     }
     for name, kind in kinds.items():
@@ -98,7 +102,8 @@ def test_other_files_are_refused_in_one_line(tmp_path):
     (tmp_path / "a.csv").write_text("some,table\n1,2\n")
     (tmp_path / "a.json").write_text("{}")
     (tmp_path / "empty").mkdir()
-    for name in ("a.npz", "a.csv", "a.json", "empty"):
+    (tmp_path / "a.kml").write_text("<kml/>")
+    for name in ("a.npz", "a.csv", "a.json", "a.kml", "empty"):
         with pytest.raises(GeoaimError) as raised:
             describe_file(str(tmp_path / name))
         assert name in str(raised.value)

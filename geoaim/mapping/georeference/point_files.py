@@ -33,9 +33,10 @@ COMMENT = re.compile(r'\s*(#|"#\s*(crs|accuracy):)', re.IGNORECASE)  # a name ma
 OFF = ("0", "false", "no")  # values of the column enable
 DEGREE_COLUMNS = {"lon", "longitude", "lng", "lat", "latitude"}
 QGIS_COLUMNS = ("mapx", "mapy", "pixelx", "pixely")
-# "WGS84 UTM 35N" as OpenDroneMap writes it, or as PROJ names the CRS: "WGS 84 / UTM zone 35N"
+# "WGS84 UTM 35N" as OpenDroneMap writes it, or as PROJ names the CRS: "WGS 84 / UTM zone 35N";
+# N and S are the hemispheres, other letters bands of latitude (C to X)
 UTM_HEADER = re.compile(
-    r"WGS\s*_?(?:19)?84\s*[/_]?\s*UTM\s*_?(?:zone)?\s*_?(\d{1,2})\s*([NS])", re.IGNORECASE
+    r"WGS\s*_?(?:19)?84\s*[/_]?\s*UTM\s*_?(?:zone)?\s*_?(\d{1,2})\s*([C-HJ-NP-X])", re.IGNORECASE
 )
 ODM_PIXEL_SHIFT = 0.5  # px from OpenDroneMap's origin, the first pixel's centre, to its corner
 
@@ -139,7 +140,8 @@ def _parse_odm_crs(header: str) -> str | None:
     """The CRS of an OpenDroneMap header, or None when the line is no such header."""
     header = trim_comment(header).strip("'")
     if (utm := UTM_HEADER.fullmatch(header)) and 1 <= int(utm[1]) <= 60:
-        return f"EPSG:{(32600 if utm[2].upper() == 'N' else 32700) + int(utm[1])}"
+        is_north = utm[2].upper() >= "N" and utm[2].upper() != "S"
+        return f"EPSG:{(32600 if is_north else 32700) + int(utm[1])}"
     if epsg := re.fullmatch(r"EPSG\s*[:\s]\s*(\d+)", header, re.I):
         return f"EPSG:{epsg[1]}"
     if re.fullmatch(r"WGS\s*_?84|LAT\s*/?\s*LON(G)?", header, re.I):

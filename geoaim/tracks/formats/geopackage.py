@@ -71,6 +71,7 @@ def write_geopackage(
     # other programs ignore the description, which brings the origin back
     origin = json.dumps({"origin": list(map(float, tracks.world.origin))})
     options = {"DESCRIPTION": origin, "SPATIAL_INDEX": "NO"}
+    options |= {"DATETIME_PRECISION": "MILLISECOND"}  # SQLite compares dates as texts
     layers = {
         "states": (points, states, "Point"),
         "paths": (np.array(lines, object), paths, "LineString"),
@@ -173,7 +174,8 @@ def _check_tables(path: Path) -> None:
             raise TracksError(
                 f"{path} has the layers {', '.join(x for x in layers if not x.startswith(own))}; "
                 f"{NEEDED} has a layer states of points with the columns "
-                f"{', '.join(STATE_COLUMNS)}: rename them"
+                f"{', '.join(STATE_COLUMNS)}: rename them. Areas are read of GeoJSON: "
+                f"ogr2ogr -f GeoJSON OUT.geojson {path.name}"
             )
         columns = database.execute("PRAGMA table_xinfo(states)").fetchall()
         if any(row[6] > 1 for row in columns) or any(

@@ -195,6 +195,8 @@ def test_text_of_another_encoding_says_what_to_do(tmp_path):
         ("WGS84 UTM 35N", "EPSG:32635"),
         ("WGS84 UTM 35 S", "EPSG:32735"),
         ("wgs84 utm 35n", "EPSG:32635"),
+        ("WGS84 UTM 35U", "EPSG:32635"),  # a band of latitude
+        ("WGS84 UTM 35H", "EPSG:32735"),
         ("WGS 84 / UTM zone 35N", "EPSG:32635"),
         ("WGS_1984_UTM_Zone_35N", "EPSG:32635"),
         ("EPSG:32635", "EPSG:32635"),

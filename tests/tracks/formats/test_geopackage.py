@@ -1,7 +1,9 @@
 """GeoPackages of tracks: a round trip, and what the standard asks of every one."""
 
+import os
 import shutil
 import sqlite3
+import subprocess
 import sys
 from contextlib import closing
 from dataclasses import replace
@@ -15,6 +17,7 @@ import shapely
 
 from geoaim.base.errors import GeoaimError, TracksError
 from geoaim.base.world import World
+from geoaim.tracks.dates import read_start
 from geoaim.tracks.files import read_plain_tracks
 from geoaim.tracks.formats import read_geopackage, read_tracks, write_geopackage
 
@@ -65,6 +68,8 @@ def test_states_have_dates_that_gis_programs_play(tmp_path, written):
     assert ask(written, query) == [(0.1, "1970-01-01T00:00:00.100Z")]
     write_geopackage(SAMPLE, tmp_path / "a.gpkg", start="2026-06-01 12:00+02:00")
     assert ask(tmp_path / "a.gpkg", query) == [(0.1, "2026-06-01T10:00:00.100Z")]
+    first = ask(tmp_path / "a.gpkg", "SELECT min(datetime) FROM states")
+    assert first == [("2026-06-01T10:00:00.000Z",)]
     info = pyogrio.read_info(tmp_path / "a.gpkg", layer="states")
     assert dict(zip(info["fields"], info["dtypes"], strict=True))["datetime"] == "datetime64[ms]"
     with pytest.raises(ValueError, match="'noon' is not a date and time"):
@@ -95,11 +100,40 @@ def test_qgis_finds_styles_by_type_turned_by_heading_and_played_by_date(written)
     assert angle.get("value") == '90 - degrees("heading")'
 
 
+# QGIS is a module of the system's Python
+IN_QGIS = """
+import os, sys
+from qgis.core import QgsApplication, QgsVectorLayer
+application = QgsApplication([], False)
+application.initQgis()
+layer = QgsVectorLayer(sys.argv[1] + "|layername=states", "states", "ogr")
+layer.loadDefaultStyle()
+types, played = layer.renderer().categories(), layer.temporalProperties()
+print(layer.crs().authid(), [one.value() for one in types], played.isActive(), played.startField())
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+def test_qgis_takes_place_style_and_dates(written):
+    python = Path("/usr/bin/python3")
+    if not python.exists():
+        pytest.skip("the system has no Python")
+    environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen"}
+    called = [python, "-c", IN_QGIS, written]
+    found = subprocess.run(called, capture_output=True, text=True, env=environment)
+    if "No module named 'qgis'" in found.stderr:
+        pytest.skip("QGIS is not installed")
+    types = sorted(set(SAMPLE.types))
+    assert found.stdout == f"EPSG:32635 {types} True datetime\n", found.stderr
+
+
 def test_dates_and_multipoints_of_gis_programs_are_read(tmp_path, written):
     frame = pyogrio.read_dataframe(written, layer="states")
     frame["time"] = frame.pop("datetime")
     frame.geometry = shapely.multipoints(shapely.get_coordinates(frame.geometry)[:, None])
     pyogrio.write_dataframe(frame, tmp_path / "b.gpkg", layer="states")
+    assert read_start(tmp_path / "b.gpkg").isoformat() == "1970-01-01T00:00:00+00:00"
     read = read_tracks(tmp_path / "b.gpkg")
     np.testing.assert_array_equal(read.times, SAMPLE.times)
     assert read.present.sum() == SAMPLE.present.sum()
