@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from math import isnan, nan
 from pathlib import Path
 from statistics import fmean
 from types import UnionType
@@ -269,8 +270,9 @@ def write_tracking_hard(results: Row) -> str:
     for boxes in _distinct(rows, "boxes"):
         hotas = [_mean(rows, "HOTA", boxes=boxes, method=name) for name in methods]
         own = [r for r in rows if (r["boxes"], r["method"]) == (boxes, "geoaim")]
-        cells = [f"{_mean(rows, 'IDF1', boxes=boxes, method=name):.3f}" for name in methods]
-        cells += [f"{hotas[0]:.3f}", f"{max(hotas[1:]):.3f}"]
+        found = [_mean(rows, "IDF1", boxes=boxes, method=name) for name in methods]
+        cells = ["" if isnan(value) else f"{value:.3f}" for value in found]
+        cells += [f"{hotas[0]:.3f}", f"{max(value for value in hotas[1:] if value == value):.3f}"]
         cells.append(", ".join(f"{row['IDF1']:.3f}" for row in own))
         for key in ("in position's 95 % region", "in heading's 95 % range"):
             cells.append(_range([round(row[key]) for row in own]) + " %")
@@ -373,7 +375,7 @@ def _distinct(rows: Sequence[Row], key: str) -> list[Any]:
 
 def _mean(rows: Sequence[Row], key: str, **wanted: Any) -> float:
     chosen = [row[key] for row in rows if all(row[k] == v for k, v in wanted.items())]
-    return fmean(chosen)
+    return fmean(chosen) if chosen else nan
 
 
 def _range(values: Sequence[int]) -> str:

@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from geoaim.hdmap.rasterize import draw_hdmap as draw_hdmap
     from geoaim.imagery.alignment.before_after import draw_alignment as draw_alignment
     from geoaim.imagery.alignment.pipeline import align_tiles as align_tiles
-    from geoaim.imagery.alignment.placing import place_by_imagery as place_by_imagery
+    from geoaim.imagery.alignment.place_by_imagery import place_by_imagery as place_by_imagery
     from geoaim.imagery.mosaic import read_imagery as read_imagery
     from geoaim.mapping.georeference.control_points import (
         read_control_points as read_control_points,
@@ -122,7 +122,7 @@ _MODULE_OF_NAME = {
     "read_lights": "geoaim.tracks.lights",
     "read_tracks": "geoaim.tracks.formats.formats",
     "Evidence": "geoaim.pipeline",
-    "place_by_imagery": "geoaim.imagery.alignment.placing",
+    "place_by_imagery": "geoaim.imagery.alignment.place_by_imagery",
     "place_video": "geoaim.pipeline",
     "rectify": "geoaim.aim.rectification",
     "register": "geoaim.mapping.registration.register",

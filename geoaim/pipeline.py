@@ -41,7 +41,7 @@ from geoaim.base.progress import Progress, notebook_progress, report_each
 from geoaim.base.world import World
 from geoaim.detection.scale import FRAMES, propose_scale
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
-from geoaim.imagery.alignment.placing import check_near, place_by_imagery
+from geoaim.imagery.alignment.place_by_imagery import check_near, place_by_imagery
 from geoaim.imagery.sources import Source
 from geoaim.mapping.georeference.control_points import ControlPointSource
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference

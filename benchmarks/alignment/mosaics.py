@@ -29,8 +29,7 @@ from geoaim.aim.aim import AIM
 from geoaim.aim.position import CHI2_2D, read_position_covariance, state_position
 from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import transform_points, translation
-from geoaim.imagery.alignment.parts import Part
-from geoaim.imagery.alignment.placement import (
+from geoaim.imagery.alignment.evidence import (
     AimEvidence,
     Evidence,
     TracksEvidence,
@@ -38,6 +37,7 @@ from geoaim.imagery.alignment.placement import (
     place_mosaic,
     weigh_part,
 )
+from geoaim.imagery.alignment.parts import Part
 from geoaim.imagery.alignment.result import Prior
 from geoaim.imagery.mosaic import Mosaic, read_imagery
 from geoaim.tracks.formats import read_geotrax

@@ -26,7 +26,7 @@ from geoaim.base.errors import AlignmentError, GeoreferenceError
 from geoaim.base.geometry import make_similarity, to_opencv, transform_points, translation
 from geoaim.base.progress import no_progress
 from geoaim.base.world import World, change_world, lonlat_from_world
-from geoaim.imagery.alignment.placing import MAX_CORNER_PX, place_by_imagery
+from geoaim.imagery.alignment.place_by_imagery import MAX_CORNER_PX, place_by_imagery
 
 VALIDATION_SEED, TEST_SEED = 11, 51  # of the first places, one of each kind
 SEEDS = 3  # of places, and so of resolutions of the picture

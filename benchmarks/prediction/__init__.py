@@ -42,6 +42,7 @@ EXPERIMENTS = {
     "songdo": songdo.run,
     "sind": sind.run,
     "zero_shot": zero_shot.run,
+    "zero_shot_before": zero_shot.run_tests_before,
     "observed_states": observed_states.run,
     "own_place": own_place.run,
     "unsure_speeds": unsure_speeds.run,

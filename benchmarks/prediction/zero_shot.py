@@ -1,29 +1,46 @@
 """The models that come with the package on real places, of which they saw none."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from benchmarks.prediction import sind, songdo
+from benchmarks.prediction.places import make_drawn_scene
 from benchmarks.prediction.protocol import evaluate_scene
+from benchmarks.prediction.reaction import write_rows
 from benchmarks.prediction.real_places import (
     KARLSRUHE,
     STANFORD_TEST,
     RealRecording,
     read_karlsruhe,
     read_stanford,
+    read_zhengzhou,
 )
 from benchmarks.prediction.results import Metrics, Workspace, compute_differences, write_results
+from geoaim.base.defaults import SAMPLES
+from geoaim.base.errors import TracksError
+from geoaim.base.progress import no_progress
+from geoaim.cli.predict import NOISY, compare_with_noise, judge_before
 from geoaim.prediction.baselines import BASELINES, Predictor, replay
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.controllers import follow
-from geoaim.prediction.metrics import MIN_SEGMENTS, concat, keep_rates
-from geoaim.rendering.scene import Scene
+from geoaim.prediction.cutting import cut_segments
+from geoaim.prediction.evaluation import EvalConfig, evaluate
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.metrics import MIN_SEGMENTS, Metric, concat, keep_rates
+from geoaim.prediction.predict import draw_covering
+from geoaim.prediction.segments import Segments
+from geoaim.rendering.prefiltering import prefilter_ground
+from geoaim.rendering.scene import Scene, slice_scene
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 
-NOISY = "constant velocity with noise"
 LATER_S = (5, 8)  # horizons beside the models' own, of recordings that are long enough
+TESTED_S = (3, 8)  # horizons at which the test before a prediction is judged
+MAX_STARTS = 16  # of predictions at one place, at even intervals
+MINUTES = 3.0  # of made traffic
+Starts = list[tuple[dict[str, Metric], dict[str, Metric]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +65,100 @@ def run(workspace: Workspace) -> list[Path]:
             differences[name] = compute_differences(found["ITRA"], found[NOISY])
     settings = {"ITRA minus constant velocity with noise": differences}
     return write_results("zero_shot", metrics, settings, workspace.results)
+
+
+def run_tests_before(workspace: Workspace) -> list[Path]:
+    """Judge what `predict` says beforehand, better than noise or not, by what happens afterwards.
+
+    `TESTED_SEGMENTS` and `SAME_SHARE` were chosen on the places of validation.
+    """
+    rows = []
+    places = _list_tested()
+    for number, (name, read) in enumerate(places.items()):
+        workspace.progress("places", number, len(places))
+        scenes = read()
+        longest = max(len(scene.times) for scene in scenes) * scenes[0].dt
+        rows += [
+            {"place": name, "s": s, **_judge_tests(scenes, s)} for s in TESTED_S if s + 1 < longest
+        ]
+    return write_rows("zero_shot_before", {"places": rows}, workspace)
+
+
+def _list_tested() -> Mapping[str, Callable[[], list[Scene]]]:
+    """List places on which the test before a prediction is judged."""
+
+    def read(junction: str) -> list[Scene]:
+        return [one.make_scene(0.1) for one in read_karlsruhe(junction)]
+
+    return {
+        "validation, k733": lambda: read(KARLSRUHE[1]),
+        "validation, Zhengzhou 0592": lambda: [read_zhengzhou("DJI_0592").make_scene(0.1)],
+        "test, k729": lambda: read(KARLSRUHE[0]),
+        "test, Zhengzhou 0590": lambda: [read_zhengzhou("DJI_0590_0").make_scene(0.1)],
+        "test, Songdo": lambda: [songdo.read_scene()],
+        "test, made junction 932": lambda: [make_drawn_scene("junction", 932, minutes=MINUTES)[0]],
+    }
+
+
+def _judge_tests(scenes: Sequence[Scene], seconds: float) -> dict[str, float | str]:
+    """Count what the test says at starts of predictions, and where that is so afterwards."""
+    model = read_pretrained("vehicle")
+    horizon = round(seconds / model.config.dt)
+    step = MAX_HISTORY_STEPS + horizon
+    starts = [
+        (scene, start, segment)
+        for scene in scenes
+        for start in range(MAX_HISTORY_STEPS - 1, len(scene.times) - horizon, step)
+        if (segment := _cut_after(scene, start, horizon)) is not None
+    ]
+    found: Starts = []
+    for scene, start, segment in starts[:: max(1, -(-len(starts) // MAX_STARTS))]:
+        after = _judge_after(model, scene, segment)
+        found.append((judge_before(model, scene, start, horizon), after))
+    told = [before for before in found if before[0] and before[0]["model"].counts.any()]
+    sums = {name: _average(found, name) for name in ("model", NOISY)}
+    row: dict[str, float | str] = {
+        f"minADE after, {name}": round(value, 2) for name, value in sums.items()
+    }
+    row |= {"starts": len(found), "untested": len(found) - len(told)}
+    for answer in ("better", "as good", "worse"):
+        some = [one for one in told if compare_with_noise(one[0]) == answer]
+        right = sum(one["model"].mean < one[NOISY].mean for _, one in some)
+        cell = f"{len(some)}, {right}"
+        if some:
+            cell += f" ({_average(some, 'model'):.2f}, {_average(some, NOISY):.2f})"
+        row[f"told {answer}, then better"] = cell
+    return row
+
+
+def _cut_after(scene: Scene, start: int, horizon: int) -> Segments | None:
+    """Cut the segment of a prediction; None where nobody is there to its end."""
+    piece = slice_scene(scene, slice(start + 1 - MAX_HISTORY_STEPS, start + 1 + horizon))
+    steps = len(piece.times)
+    try:
+        return cut_segments(piece, "vehicle", steps=steps, stride=steps, joint=True)
+    except TracksError:
+        return None
+
+
+def _judge_after(model: ITRA, scene: Scene, segment: Segments) -> dict[str, Metric]:
+    """minADE after a start: of the futures that `predict` gives, and of noise."""
+    ground = prefilter_ground(scene.ground, model.config.resolution)
+    predictors: dict[str, Predictor] = {
+        "model": partial(draw_covering, model),
+        NOISY: BASELINES[NOISY],
+    }
+    given = segment, ground, EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
+    return {
+        name: evaluate(predictor, *given, progress=no_progress)["minADE"]
+        for name, predictor in predictors.items()
+    }
+
+
+def _average(found: Starts, name: str) -> float:
+    """The mean of a predictor's errors after some starts."""
+    parts = [{"minADE": after[name]} for _, after in found]
+    return concat(parts)["minADE"].mean if parts else float("nan")
 
 
 def _list_sets() -> Mapping[str, RecordingSet]:

@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from geoaim.base.errors import TracksError
 from geoaim.base.world import World
 from geoaim.mapping.video.detections import DetectedBoxes
-from geoaim.tracking.association import MIN_HIT_SHARE, MIN_HITS
+from geoaim.tracking.association import MIN_HITS
 from geoaim.tracking.ground_detections import place_boxes
 from geoaim.tracking.kalman import predict, start, update
 from geoaim.tracks.formats.motion import make_tracks_from_positions
@@ -172,11 +172,11 @@ def _place(
 
 
 def _fill_gaps(rows: pd.DataFrame) -> pd.DataFrame:
-    """Drop tracks as short as those that `associate` drops; fill the gaps of the others evenly."""
+    """Drop tracks that are short or mostly gaps; fill the gaps of the others evenly."""
     filled = []
     for name, track in rows.groupby("id"):
         span = np.arange(track["step"].min(), track["step"].max() + 1)
-        if len(track) >= max(MIN_HITS, MIN_HIT_SHARE * len(span)):
+        if len(track) >= max(MIN_HITS, 0.4 * len(span)):
             columns = {key: np.interp(span, track["step"], track[key]) for key in SIDES}
             kind = track["type"].mode()[0]
             filled.append(pd.DataFrame(columns | {"step": span, "id": str(name), "type": kind}))

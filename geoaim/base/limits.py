@@ -131,6 +131,11 @@ def refuse_damaged(
         raise error_type(f"{path} is not {needed}, or is damaged ({reason})") from error
 
 
+def is_writable_beside(path: str | os.PathLike[str]) -> bool:
+    """Whether files can be made beside a file, as SQLite does to read one of mode WAL."""
+    return os.access(Path(path).absolute().parent, os.W_OK)
+
+
 STEPS = 20_000_000  # of SQLite's machine: about a second; a million rows are counted within it
 
 
@@ -140,9 +145,18 @@ def open_sqlite(path: str | os.PathLike[str]) -> Iterator[sqlite3.Connection]:
 
     Raises:
         sqlite3.Error: the file is damaged, or reading it takes more steps than its size explains.
+        GeoaimError: changes beside it cannot be read, since its folder cannot be written to.
     """
     limit = STEPS + os.path.getsize(path)
     uri = f"{Path(path).absolute().as_uri()}?mode=ro"
+    if not is_writable_beside(path):
+        uri += "&immutable=1"
+        for rest in (f"{path}-wal", f"{path}-journal"):
+            if os.path.exists(rest) and os.path.getsize(rest):
+                raise GeoaimError(
+                    f"{rest} holds changes that are not in {Path(path).name} yet: copy both to a "
+                    "folder that can be written to"
+                )
     with closing(sqlite3.connect(uri, uri=True)) as database:
         database.execute("PRAGMA trusted_schema = OFF")
         database.execute("PRAGMA cell_size_check = ON")

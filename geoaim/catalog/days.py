@@ -16,7 +16,7 @@ from geoaim.base.progress import Progress
 from geoaim.base.world import lonlat_from_world
 from geoaim.catalog.recordings import FROM_VIDEO, Recording
 from geoaim.hdmap.lanelet2 import read_hdmap
-from geoaim.imagery.alignment.placing import parse_near, place_by_imagery
+from geoaim.imagery.alignment.place_by_imagery import parse_near, place_by_imagery
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.pipeline import track_video
 from geoaim.tracks.changes import to_world

@@ -33,7 +33,7 @@ from geoaim.catalog.storage import (
     report_storage,
     split_address,
 )
-from geoaim.imagery.alignment.placing import parse_near
+from geoaim.imagery.alignment.place_by_imagery import parse_near
 from geoaim.mapping.build_map import MapSettings
 from geoaim.mapping.sampling import parse_frame_count
 from geoaim.mapping.video.video import IMAGE_SUFFIXES

@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 from geoaim.aim.summary import summarize_report
 from geoaim.base.pages import read_page_style
 from geoaim.base.texts import plot_text
-from geoaim.catalog.place_tracks import get_tracks_path, group_tracks
 from geoaim.catalog.recordings import VERSION
 from geoaim.catalog.records import CHANGES, FOLDER, LOOK, MAP, Record, Status
+from geoaim.catalog.tracks_of_days import get_tracks_path, group_tracks
 
 REPORT = "report.json"
 PAGE = "report.html"

@@ -6,7 +6,6 @@ from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from geoaim.catalog.place_tracks import PLACES, get_tracks_path, group_tracks, join_tracks
 from geoaim.catalog.records import (
     FOLDER,
     RECORD,
@@ -32,6 +31,7 @@ from geoaim.catalog.storage import (
     remove_file,
     write_file,
 )
+from geoaim.catalog.tracks_of_days import PLACES, get_tracks_path, group_tracks, join_tracks
 
 CHECKSUMS = "checksums.sha256"  # as `sha256sum` writes and checks them
 CHECKSUM_DIFFERS = "changed: its checksum is another one"

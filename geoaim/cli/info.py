@@ -161,10 +161,13 @@ def _describe_raster(source: str) -> Description:
 
 
 def _describe_image(source: str) -> Description:
-    """An image, which has a place where a world file lies beside it."""
+    """An image: a texture's, or one that has a place where a world file lies beside it."""
+    from geoaim.aim.texture_files import FRAME_FILE, PICTURE_FILE
     from geoaim.base.limits import refuse_damaged
     from geoaim.base.raster_files import read_georeference
 
+    if Path(source).name == PICTURE_FILE and (frame := Path(source).with_name(FRAME_FILE)).exists():
+        return _describe_json(str(frame))
     with refuse_damaged(source, GeoaimError, "a readable image"):
         placed = read_georeference(source)[0] is not None
     return _describe_imagery(source) if placed else _describe_video(source)

@@ -119,7 +119,7 @@ def _choose_placing(
         return None
     if points is not None:
         raise ValueError("--points and --imagery both place the map; give one")
-    from geoaim.imagery.alignment.placing import parse_near, place_by_imagery
+    from geoaim.imagery.alignment.place_by_imagery import parse_near, place_by_imagery
 
     sources, start = list(imagery), None if near is None else parse_near(near)
 

@@ -42,7 +42,7 @@ def place(
 
     with report_errors():
         check_new_folder(output)  # before the other imports, which take seconds
-    from geoaim.imagery.alignment.placing import parse_near
+    from geoaim.imagery.alignment.place_by_imagery import parse_near
     from geoaim.mapping.video.video import open_video
     from geoaim.pipeline import Evidence, place_video
 

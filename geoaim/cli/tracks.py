@@ -8,7 +8,7 @@ import typer
 from geoaim.base.errors import warn
 from geoaim.cli import options
 from geoaim.cli.console import console, print_result, report_errors, show_progress
-from geoaim.cli.inputs import find_roads, read_any_lights, read_any_tracks
+from geoaim.cli.inputs import find_roads, find_video, read_any_lights, read_any_tracks
 from geoaim.cli.outputs import TRACKS, check_output
 
 if TYPE_CHECKING:
@@ -113,6 +113,7 @@ def track(
 
 
 FORMATS = {".csv": "plain", ".parquet": "plain", ".gpkg": "GeoPackage", "": "ScenarioNet"}
+DATED = (".parquet", ".gpkg")
 
 
 def convert(
@@ -135,7 +136,10 @@ def convert(
     ] = None,
     start_date: Annotated[
         str | None,
-        typer.Option(help="GeoPackage: date and time at which time is 0; 1970-01-01 if omitted"),
+        typer.Option(
+            help=".gpkg and .parquet: date and time at which time is 0; that of the file or of "
+            "its video if omitted, else 1970-01-01"
+        ),
     ] = None,
     lights: options.LightsFile = None,
     hdmap: options.HDMapFile = None,
@@ -157,14 +161,13 @@ def convert(
     from geoaim.hdmap.scenarionet import write_scenarionet
     from geoaim.tracks.changes import merge_tracks
     from geoaim.tracks.files import write_tracks
-    from geoaim.tracks.formats import write_geopackage
 
     with report_errors():
-        suffix = output.suffix.lower()
+        suffix, dates = output.suffix.lower(), ""
         if suffix not in FORMATS:
             raise ValueError(f"{output}: give a name that ends in .csv, .parquet or .gpkg")
-        if start_date is not None and suffix != ".gpkg":
-            raise ValueError("--start-date gives the dates of a GeoPackage; name the output .gpkg")
+        if start_date is not None and suffix not in DATED:
+            raise ValueError("--start-date gives dates; name the output .gpkg or .parquet")
         if suffix:
             check_output(output, (suffix,), tracks)
         given = tracks_world, tracks_resolution, tracks_frame_rate
@@ -172,8 +175,10 @@ def convert(
         read = _change_times(read, rate, start, duration)
         if FORMATS[suffix] != "plain":
             _warn_of_derived_states(read, tracks)
-        if suffix == ".gpkg":
-            write_geopackage(read, output, **({} if start_date is None else {"start": start_date}))
+        if suffix in DATED:
+            begin, reason = _find_start(tracks) if start_date is None else (start_date, "given")
+            dates = f"; time 0 is {begin} ({reason})"
+            write_tracks(read, output, start=begin)
         elif suffix:
             write_tracks(read, output)
         else:
@@ -183,7 +188,21 @@ def convert(
             known = read_any_lights(lights, stop_lines, roads, read.world)
             write_scenarionet(read, output, hdmap=roads, lights=known, ego=ego)
     count = f"{len(read.ids)} agents at {len(read.times)} times"
-    console.print(f"{output}: {count} ({FORMATS[suffix]})")
+    console.print(f"{output}: {count} ({FORMATS[suffix]}){dates}", highlight=False)
+
+
+def _find_start(paths: list[Path]) -> tuple[str, str]:
+    """Find when `time` was 0, and how that is known: by the first file that says it."""
+    from geoaim.base.files import TRACKS_FILE, find_in_folder
+    from geoaim.catalog.building import find_datetime
+    from geoaim.tracks.dates import EPOCH, read_start
+
+    for path in paths:
+        if start := read_start(path):
+            return str(start), str(path)
+        if video := find_video(find_in_folder(path, TRACKS_FILE)):
+            return find_datetime(None, str(video), video)
+    return EPOCH, "not known: give --start-date"
 
 
 def _change_times(

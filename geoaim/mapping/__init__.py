@@ -12,7 +12,7 @@ if TYPE_CHECKING:
         read_control_points as read_control_points,
     )
     from geoaim.mapping.georeference.estimate import estimate_georeference as estimate_georeference
-    from geoaim.mapping.georeference.place_tracks import place_tracks as place_tracks
+    from geoaim.mapping.georeference.pixel_tracks import place_tracks as place_tracks
     from geoaim.mapping.pipeline import build_aim as build_aim
     from geoaim.mapping.registration.register import register as register
     from geoaim.mapping.registration.register import write_registration as write_registration
@@ -27,7 +27,7 @@ _MODULE_OF_NAME = {
     "estimate_georeference": "geoaim.mapping.georeference.estimate",
     "export_texture": "geoaim.mapping.texture",
     "open_video": "geoaim.mapping.video.video",
-    "place_tracks": "geoaim.mapping.georeference.place_tracks",
+    "place_tracks": "geoaim.mapping.georeference.pixel_tracks",
     "read_control_points": "geoaim.mapping.georeference.control_points",
     "read_detections": "geoaim.mapping.video.detections",
     "register": "geoaim.mapping.registration.register",

@@ -28,8 +28,8 @@ from geoaim.mapping.georeference.reference_frame import (
 )
 from geoaim.mapping.georeference.transform_models import distort_points
 from geoaim.mapping.registration import register
+from geoaim.mapping.registration.ambiguity import MOVING_PART
 from geoaim.mapping.registration.hover import find_hovers
-from geoaim.mapping.registration.placements import MOVING_PART
 from geoaim.mapping.report import (
     report_background,
     report_georeference,

@@ -3,6 +3,7 @@
 import json
 import os
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import cv2
 import numpy as np
@@ -18,7 +19,10 @@ from geoaim.aim.texture_files import (
     hash_picture,
 )
 from geoaim.base.checksums import PLACEHOLDER, write_checksum
-from geoaim.base.files import atomic_write, check_not_foreign, lock_folder
+from geoaim.base.files import atomic_files, atomic_write, check_not_foreign, lock_folder
+from geoaim.base.geometry import translation
+
+PLACE_FILES = ("texture.pgw", "texture.png.aux.xml")  # by which GIS programs place the picture
 
 
 def export_texture(
@@ -65,21 +69,39 @@ def export_texture(
     frame |= {name: aim.report[name] for name in POSITION_KEYS if name in aim.report}
     with lock_folder(folder, wait=True):
         check_not_foreign(Path(folder) / FRAME_FILE)
-        _write_pair(Path(folder), frame, png.tobytes())
+        _write_files(Path(folder), frame, png.tobytes(), _describe_place(aim))
 
 
-def _write_pair(folder: Path, frame: dict[str, object], png: bytes) -> None:
-    """Write a picture and the JSON that names it; a kill leaves the old pair or the new one.
+def _describe_place(aim: AIM) -> tuple[str, str]:
+    """Describe a picture's place for GIS programs: a world file, and its CRS in a .aux.xml."""
+    crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
+    first = crs_from_image @ [0.5, 0.5, 1.0]  # world files place the centre of the first pixel
+    numbers = [*crs_from_image[:2, :2].T.ravel(), *first[:2]]
+    crs = "" if aim.world.crs is None else f"<SRS>{escape(aim.world.crs)}</SRS>"
+    return (
+        "".join(f"{float(number)!r}\n" for number in numbers),
+        f"<PAMDataset>{crs}</PAMDataset>\n",
+    )
 
-    Where there is a pair, the JSON names another file while its picture is replaced.
+
+def _write_files(
+    folder: Path, frame: dict[str, object], png: bytes, place: tuple[str, str]
+) -> None:
+    """Write a picture, its place, and the JSON that names it; a kill leaves the old or the new.
+
+    Where there are old ones, the JSON names another file while the picture is replaced.
     """
     text = json.dumps(frame, indent=2)
     spare = f"{Path(PICTURE_FILE).stem}-{hash_picture(png):.8}.png"
     is_new = not (folder / FRAME_FILE).exists()
     try:
         for name in (PICTURE_FILE,) if is_new else (spare, PICTURE_FILE):
-            with atomic_write(folder / name, shared=True) as part:
+            sides = PLACE_FILES if name == PICTURE_FILE else ()
+            paths = [folder / each for each in (name, *sides)]
+            with atomic_files(*paths, shared=True) as (part, *side_parts):
                 part.write_bytes(png)
+                for side, content in zip(side_parts, place, strict=False):
+                    side.write_text(content, "utf-8")
             with atomic_write(folder / FRAME_FILE, shared=True) as part:
                 part.write_text(text.replace(f'"{PICTURE_FILE}"', f'"{name}"', 1) + "\n")
                 write_checksum(part)

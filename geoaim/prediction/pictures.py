@@ -120,7 +120,7 @@ def _make_figure(futures: Futures) -> Figure:
 
 
 def write_futures(
-    futures: Futures, path: str | os.PathLike[str], *, world: World | None = None
+    futures: Futures, path: str | os.PathLike[str], *, notes: Sequence[str] = ()
 ) -> None:
     """Write a CSV with a row for each sample, step and agent that is present in it.
 
@@ -131,13 +131,14 @@ def write_futures(
     Args:
         futures: the futures from `predict`.
         path: path of the file.
-        world: the world of the scene; None: its own.
+        notes: further comment lines.
     """
     scene = futures.scene
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write(format_world(world or futures.world or World(None)))
+        file.write(format_world(futures.world or World(None)))
         for name, reason in futures.left_out.items():
             file.write(f"# left out: {json.dumps(name)}, {reason}\n")
+        file.writelines(f"# {note}\n" for note in notes)
         for sample, future in enumerate(futures.states):  # a table of all takes much memory
             agent, step = torch.isfinite(future[..., 0]).nonzero().cpu().numpy().T
             values = future.double().cpu().numpy()[agent, step].round(4)

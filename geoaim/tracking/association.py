@@ -8,30 +8,26 @@ from numpy import ndarray as Array
 from scipy.optimize import linear_sum_assignment
 
 from geoaim.tracking.ground_detections import GroundDetections, select_detections
+from geoaim.tracking.headings import MOVING_SPEED
 from geoaim.tracking.kalman import START_SPEED_SIGMA, predict, start, update
-from geoaim.tracking.noise import DEFAULT_NOISE_PX, SLOW_DT, estimate_noise
+from geoaim.tracking.noise import DEFAULT_NOISE_PX, MARGIN, SLOW_DT, estimate_noise
 
 ACCELERATION_NOISE = 4.0  # m²/s³; spectral density of the acceleration of any agent
 STANDING_NOISE = 0.5  # and of one that has stood for some time
-STANDING_SPEED, STANDING_HITS = 0.7, 10  # m/s; detections after which a slow agent stands
+STANDING_HITS = 10  # detections after which an agent that does not move stands
 GATE = 16.0  # squared distance in standard deviations beyond which a detection is another agent's
 CUT_SIGMA_M = 1.5  # of the middle of a box that the frame's border may cut off, across it
 # minus twice the log of: a miss, and new agents or false boxes per m², inside and at the border
 MISS_COST, BIRTH_COST, BORDER_BIRTH_COST = 4.6, 13.8, 9.2
-SIZE_SIGMA = 0.3  # of the logarithm of a box's side, between frames
-MAX_SIZE_COST, TYPE_COST = 6.0, 3.0
-MAX_GAP_S, MAX_GAP_STEPS = (
-    0.6,
-    2.5,
-)  # a track ends when it is not seen for longer; it may be joined to a later one
+TYPE_COST = 5.0  # the same of how seldom an agent's type changes
+# a track ends when it is not seen for longer; it may be joined to a later one
+MAX_GAP_S, MAX_GAP_STEPS = 0.6, 2.5
 LEFT_M = 3.0  # beyond its last box at the border an agent has left the frame
 CONFIRMING_HITS = 3  # detections after which a track may be missed for so long
 MAX_FIRST_MISSES = 2  # frames without a detection after which a track ends before that
-MIN_HITS, MIN_SLOW_HITS = 5, 3  # of a track, and where frames are seldom; fewer are false boxes
-MIN_HIT_SHARE = 0.4  # of its frames until then
+MIN_HITS = 5  # of a track, or `CONFIRMING_HITS` where frames are seldom; fewer are false boxes
 MIN_START_SCORE = 0.4  # of a detection that starts a track, or the median one
 LEARNING_STEPS, MEMORY = 25, 4000  # frames after which noise and scores are learnt; boxes of them
-NOISE_MARGIN = 1.4  # by which boxes scatter more in jumps than they usually do
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +49,8 @@ class _Candidates:
     hits: Int[Array, " n"]  # number of detections
     misses: Int[Array, " n"]  # frames since the last one
     seen: Float[Array, " n"]  # its time, s
-    born: Int[Array, " n"]  # step of the first one
     outward: Float[Array, "n 2"]  # unit vector to the border that may cut off the last one, or 0
     last: Float[Array, "n 2"]  # position of the last one, m
-    side: Float[Array, " n"]  # logarithm of the mean side of whole boxes, m; NaN if unknown
     types: Shaped[Array, " n"]
 
 
@@ -64,7 +58,7 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
     """Associate detections of all frames to tracks by optimal assignment to predicted positions.
 
     Tracks are predicted at constant velocity. The cost of a pair is minus twice its log likelihood,
-    against that of a miss and a new agent: of the distance, the size and the type. A track counts
+    against that of a miss and a new agent: of the distance and the type. A track counts
     from its fifth detection on; what has fewer is false. The noise is that of the boxes so far.
     """
     # frames without any box count neither as misses nor as steps: a detector may have been given
@@ -76,7 +70,7 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
     outward = detections.find_outward()
     cut = detections.may_be_cut
     usual_dt = float(np.diff(times).min()) if len(times) > 1 else 0.0
-    needed = MIN_SLOW_HITS if usual_dt > SLOW_DT else MIN_HITS
+    needed = CONFIRMING_HITS if usual_dt > SLOW_DT else MIN_HITS
     max_gap = find_max_gap(usual_dt)
     bounds = np.searchsorted(detections.step, np.arange(len(times) + 1))
     active = _describe(detections, np.empty(0, int), sigma, outward, 0.0)
@@ -86,7 +80,7 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
         if step % LEARNING_STEPS == 0:
             past = np.arange(max(0, bounds[step] - MEMORY), bounds[step])
             found = estimate_noise(select_detections(detections, past), track[past], times)
-            noise = max(NOISE_MARGIN * found, DEFAULT_NOISE_PX)
+            noise = max(MARGIN * found, DEFAULT_NOISE_PX)
             scores = detections.score[max(0, bounds[step] - MEMORY) : bounds[step + 1]]
             scores = scores[~np.isnan(scores)]
             least_score = min(MIN_START_SCORE, float(np.median(scores))) if len(scores) else 0.0
@@ -101,14 +95,11 @@ def associate(detections: GroundDetections, times: Float[Array, "T"]) -> Trackle
         track[rows[columns]] = active.number[matched]
         active = _update(active, matched, _select(new, columns), sigma[rows[columns]])
         counts = (active.hits[matched] >= needed) & (confirmed[active.number[matched]] < 0)
-        age = step - active.born[matched] + 1
-        counts &= active.hits[matched] >= MIN_HIT_SHARE * age
         confirmed[active.number[matched[counts]]] = step
         born = np.setdiff1d(np.arange(len(rows)), columns)
         born = born[~(detections.score[rows[born]] < least_score)]
         track[rows[born]] = len(confirmed) + np.arange(len(born))
-        numbers = track[rows[born]]
-        started = replace(_select(new, born), number=numbers, born=np.full(len(born), step))
+        started = replace(_select(new, born), number=track[rows[born]])
         confirmed = np.concatenate([confirmed, np.full(len(born), -1)])
         active = _join(active, started)
     counted = confirmed >= 0
@@ -132,7 +123,6 @@ def _describe(
     """Describe detections as tracks that start with them."""
     mean, covariance = start(detections.position[rows], sigma[rows], START_SPEED_SIGMA)
     ones = np.ones(len(rows), int)
-    side = np.log(np.maximum(detections.extent[rows].prod(axis=1), 1e-6)) / 2
     return _Candidates(
         rows,
         mean,
@@ -140,10 +130,8 @@ def _describe(
         ones,
         0 * ones,
         np.full(len(rows), time),
-        0 * ones,
         outward[rows],
         detections.position[rows],
-        np.where(outward[rows].any(axis=1), np.nan, side),
         detections.types[rows],
     )
 
@@ -159,7 +147,7 @@ def _join(one: _Candidates, other: _Candidates) -> _Candidates:
 
 def _predict(active: _Candidates, dt: float) -> _Candidates:
     """Predict tracks; one that has stood for some time is believed to go on standing."""
-    stands = np.hypot(*active.mean[:, 1].T) < STANDING_SPEED
+    stands = np.hypot(*active.mean[:, 1].T) < MOVING_SPEED
     stands &= active.hits >= STANDING_HITS
     noise = np.where(stands, STANDING_NOISE, ACCELERATION_NOISE)
     mean, covariance = predict(active.mean, active.covariance, dt, noise)
@@ -167,7 +155,7 @@ def _predict(active: _Candidates, dt: float) -> _Candidates:
 
 
 def _is_leaving(active: _Candidates) -> Bool[Array, " n"]:
-    return (active.mean[:, 1] * active.outward).sum(axis=1) > STANDING_SPEED
+    return (active.mean[:, 1] * active.outward).sum(axis=1) > MOVING_SPEED
 
 
 def _compute_cost(
@@ -186,8 +174,6 @@ def _compute_cost(
     )
     distance = along / variance[0] + across / variance[1]
     cost = distance + np.log(4 * np.pi**2 * variance.prod(axis=0))
-    sides = active.side[:, None] - new.side
-    cost += np.nan_to_num(np.minimum((sides / SIZE_SIGMA) ** 2, MAX_SIZE_COST))
     typed = (active.types[:, None] != "") & (new.types[None] != "")
     cost += TYPE_COST * (typed & (active.types[:, None] != new.types[None]))
     miss = np.where(_is_leaving(active), 0.0, MISS_COST)
@@ -208,7 +194,6 @@ def _update(
     values["misses"][matched] = 0
     for name in ("seen", "outward", "last"):
         values[name][matched] = getattr(new, name)
-    values["side"][matched] = np.where(np.isnan(new.side), active.side[matched], new.side)
     return _Candidates(**values)
 
 

@@ -9,6 +9,7 @@ from numpy import ndarray as Array
 from geoaim.base.errors import TracksError, warn
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.tracking.ground_detections import GroundDetections
+from geoaim.tracking.noise import MIN_BOXES
 from geoaim.tracks.agent_types import TYPICAL_SIZES
 from geoaim.tracks.formats.plausibility import check_plausibility
 from geoaim.tracks.tracks import Tracks
@@ -19,7 +20,6 @@ MAX_CONTAINED = 0.9  # share of a box in another one of its class: a part of it,
 # how they overlap, but larger ones that are further apart are neighbours
 MAX_OFFSET, MAX_OFFSET_PX = 0.5, 8.0
 MIN_PART = 0.25  # of the area of the other one; a smaller one may be an agent beside it
-MIN_JUDGED = 20  # boxes that tell sizes
 USUAL_TYPES = ("car", "cyclist", "motorcycle")  # of alike sizes; by other names of classes, cars
 USUAL_SIZES = (0.7, 1.8)  # of the square root of boxes' areas, over what is typical of their type
 POSSIBLE_SIZES = (0.35, 3.5)  # beyond which boxes are refused
@@ -107,7 +107,7 @@ def check_sizes(detections: GroundDetections) -> None:
     whole = ~detections.cut.any(axis=(1, 2)) & (detections.extent.min(axis=1) > 0)
     for kind in np.unique(detections.types[whole].astype(str)).tolist():
         extent = detections.extent[whole & (detections.types == kind)]
-        if len(extent) < MIN_JUDGED:
+        if len(extent) < MIN_BOXES:
             continue
         middle = np.median(extent, axis=0)
         text = f"boxes of {kind or 'agents'} are {middle[0]:.2g} x {middle[1]:.2g} m on the map"

@@ -11,10 +11,10 @@ from numpy import ndarray as Array
 from geoaim.base.errors import warn
 from geoaim.base.geometry import transform_points
 from geoaim.mapping.video.detections import DetectedBoxes
+from geoaim.tracking.noise import MIN_BOXES
 
 WIDEST = 1280  # pixels of a frame's longer side that are compared
 FRAMES = 12  # spread over the video, in which boxes are compared with the picture
-MIN_BOXES = 20  # of agents that moved on; fewer tell nothing
 CLEAR = 8.0  # times the median difference from the map: that of an agent
 INNER = 0.7  # of a box's sides, inside of which its agent is
 # of what boxes lack, by which another reading must be better, and least evidence of the boxes as

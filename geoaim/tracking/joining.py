@@ -10,8 +10,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from geoaim.tracking.association import MIN_HITS, STANDING_SPEED, find_max_gap
+from geoaim.tracking.association import MIN_HITS, TYPE_COST, find_max_gap
 from geoaim.tracking.ground_detections import GroundDetections, select_detections
+from geoaim.tracking.headings import MOVING_SPEED
 from geoaim.tracking.kalman import TrackMotion, TrackRows, predict
 from geoaim.tracking.noise import SLOW_DT
 
@@ -21,8 +22,6 @@ MAX_GAP_S = 10.0  # between two tracks of one agent that moves
 JOIN_NOISE = ((0.3, 0.3), (6.0, 0.3), (6.0, 25.0))
 MAX_END_DISTANCE = 9.0  # the same of an end of a track from what the rest of it tells
 STANDING_SIGMAS = (0.5, 0.7)  # m and m/s, of what stood before and after, for however long
-TYPE_COST = 5.0  # minus twice the log of how seldom an agent's type changes
-MIN_MOVING_SPEED = 2.0  # m/s, above which a velocity tells a direction
 TURN_COST = 10.0  # the same of how seldom an agent turns back while it is lost
 ROUNDS = 20  # of weighing pairs and counting what is left; later ones change nothing
 
@@ -128,7 +127,7 @@ def _find_edges(
         speed = sense * (motion.mean[row, 1] * outward).sum(axis=1)
         time = times[rows.step[row]]
         told = time < times[0] + soon if sense < 0 else time > times[-1] - soon
-        found.append(_Edges(row, time, speed > STANDING_SPEED, told))
+        found.append(_Edges(row, time, speed > MOVING_SPEED, told))
     return found[0], found[1]
 
 
@@ -207,7 +206,7 @@ def _list_pairs(
 
 
 def _find_standing(motion: TrackMotion, rows: Int[Array, " p"]) -> Bool[Array, " p"]:
-    return np.hypot(*motion.mean[rows, 1].T) < STANDING_SPEED
+    return np.hypot(*motion.mean[rows, 1].T) < MOVING_SPEED
 
 
 def _compare_motion(
@@ -253,7 +252,7 @@ def _find_directions(
     """Find the first and the last direction in which each track moves; 0 if it never does."""
     velocity = motion.mean[:, 1]
     speed = np.hypot(*velocity.T)
-    moving = np.flatnonzero(speed > MIN_MOVING_SPEED)
+    moving = np.flatnonzero(speed > MOVING_SPEED)
     bounds = np.searchsorted(rows.agent[moving], np.arange(len(rows.bounds)))
     moves = np.diff(bounds) > 0
     found = np.zeros((2, len(moves), 2))

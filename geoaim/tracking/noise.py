@@ -7,10 +7,11 @@ from numpy import ndarray as Array
 from geoaim.tracking.ground_detections import GroundDetections
 
 DEFAULT_NOISE_PX = 2.0  # of a coordinate of a box's middle, where too few detections tell
-MIN_TRIPLES = 30  # detections in three successive frames that tell the noise
+MIN_BOXES = 20  # of which a statistic tells something
 SLOW_DT = 0.2  # s; time between frames in which agents accelerate by more than the noise
-ABSORBED = 1.25  # lasting errors over those that sizes, estimated from the same boxes, leave
-LASTING_MARGIN = 1.2  # by which extents scatter more than middles without lasting errors
+# by which boxes scatter more in jumps than usually, extents more than middles, and errors that last
+# more than sizes, which are estimated from the same boxes, leave of them
+MARGIN = 1.2
 NORMAL_SCALE = 1.4826  # standard deviation of a normal distribution over its median distance
 
 
@@ -31,7 +32,7 @@ def estimate_noise(
     pixels = detections.position[order] / detections.resolution[order, None]
     triple = (agent[2:] == agent[:-2]) & (step[2:] - step[:-2] == 2)
     second = (pixels[2:] - 2 * pixels[1:-1] + pixels[:-2])[triple]
-    if len(second) < MIN_TRIPLES:
+    if len(second) < MIN_BOXES:
         return DEFAULT_NOISE_PX
     spread = NORMAL_SCALE * float(np.median(np.abs(second))) / np.sqrt(6)
     return max(spread, 0.3)
@@ -46,9 +47,9 @@ def estimate_lasting_noise(
     extent from what it should be (m) scatters as its middle does. What goes beyond the noise
     between successive frames (pixels), lasts.
     """
-    if len(residual) < MIN_TRIPLES:
+    if len(residual) < MIN_BOXES:
         return 0.0
     pixels = residual / resolution[:, None]
     spread = NORMAL_SCALE * float(np.median(np.abs(pixels - np.median(pixels, axis=0)))) / 2
-    lasting = np.sqrt(max(spread**2 - (LASTING_MARGIN * noise) ** 2, 0.0))
-    return float(ABSORBED * lasting)
+    lasting = np.sqrt(max(spread**2 - (MARGIN * noise) ** 2, 0.0))
+    return float(MARGIN * lasting)

@@ -10,6 +10,7 @@ from geoaim.base.geometry import wrap_angle
 from geoaim.tracking.ground_detections import GroundDetections
 from geoaim.tracking.headings import (
     MIN_FORWARD_M,
+    MIN_MOVE_M,
     MOVING_SPEED,
     REAR_AXLE_SHARE,
     compute_headings,
@@ -29,7 +30,6 @@ from geoaim.tracks.agent_types import find_group
 from geoaim.tracks.tracks import estimate_heading
 
 MAX_REVERSE_SPEED = 3.5  # m/s; a faster vehicle drives forward
-MIN_TRAVEL_M = 1.5  # of a vehicle that does not stand all the time
 # by which errors of the middle turn a vehicle: its axle averages them, and a stop keeps one. Of
 # what stands on lanes (validation seeds 900, 910), 90 % then lie in their 95 % range where errors
 # last for 1.5 s (83 and 87 % with 1.7), 91 and 96 % where they last for 3 s, all of plain boxes
@@ -142,7 +142,7 @@ def _compute_vehicle_headings(
     forward = len(fast) > 0 and np.hypot(*np.ptp(fast, axis=0)) > MIN_FORWARD_M
     known = standing[1] <= LANE_SIGMA_RAD
     headings = None
-    if np.hypot(*np.ptp(path, axis=0)) > MIN_TRAVEL_M:
+    if np.hypot(*np.ptp(path, axis=0)) > MIN_MOVE_M:
         headings = compute_headings(path, velocity, length, standing[0] if known else None)
     if headings is None:
         return np.full(len(path), standing[0]), np.full(len(path), standing[1])

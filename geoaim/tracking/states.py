@@ -26,7 +26,6 @@ from geoaim.tracking.standing import LINE_SIGMA_RAD, Directions, find_standing, 
 from geoaim.tracks.tracks import Tracks
 
 MIN_WHOLE_BOXES = 5  # that tell a size; fewer may be of something else
-MAX_TURN_SINE = 0.2  # of agents whose extents tell errors of boxes
 LASTING_TURN = 0.6  # share of a lasting error that changes while the rear axle is pulled along
 COMPLETED_SIGMA_M = 0.2  # of one that has been completed by the agent's size
 
@@ -208,10 +207,8 @@ def _measure_lasting(
     cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
     length, width = sizes[whole].T
     should = np.column_stack([cosine * length + sine * width, sine * length + cosine * width])
-    # of a turned agent the extents scatter by its heading too
-    straight = np.minimum(cosine, sine) < MAX_TURN_SINE
-    residual = (detections.extent[whole] - should)[straight]
-    lasting = estimate_lasting_noise(residual, detections.resolution[whole[straight]], noise)
+    residual = detections.extent[whole] - should
+    lasting = estimate_lasting_noise(residual, detections.resolution[whole], noise)
     return lasting * detections.resolution
 
 

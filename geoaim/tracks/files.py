@@ -55,6 +55,7 @@ from geoaim.base.world import (
     transform_crs,
     world_from_crs,
 )
+from geoaim.tracks.dates import EPOCH, add_dates
 from geoaim.tracks.tables import make_tracks
 from geoaim.tracks.tracks import (
     COLUMNS,
@@ -87,23 +88,35 @@ CSV = FileFormat("tracks", 1, 1, first_checked=2, error=TracksError)
 PARQUET = FileFormat("tracks", 1, 2, first_checked=2, error=TracksError)
 
 
-def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
+def write_tracks(
+    tracks: Tracks, path: str | os.PathLike[str], *, start: str | datetime | None = None
+) -> None:
     """Write tracks in the plain format, as .csv (to the millimetre) or .parquet (exactly).
 
     A .parquet file is a GeoParquet too. A name that ends in .gpkg is written as a GeoPackage
     (`geoaim.tracks.formats.write_geopackage`).
 
+    Args:
+        tracks: the tracks.
+        path: the file.
+        start: the date and time (UTC if it names no zone) at which `time` is 0, for a column
+            `datetime` in .parquet and .gpkg. None: .parquet has none, .gpkg counts from 1970.
+
     Raises:
-        ValueError: the suffix is another one, or no agent is present.
+        ValueError: the suffix is another one, no agent is present, or `start` is no date, or is
+            given for .csv.
         TracksError: times are closer than a millisecond (CSV) or a microsecond (Parquet).
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix == ".gpkg":  # imported by name, since the formats of others stand above this one
-        import_module("geoaim.tracks.formats.geopackage").write_geopackage(tracks, path)
+        write_geopackage = import_module("geoaim.tracks.formats.geopackage").write_geopackage
+        write_geopackage(tracks, path, start=start or EPOCH)
         return
     if suffix not in (".csv", ".parquet"):
         raise ValueError(f"{path}: the name must end in .csv, .parquet or .gpkg")
+    if start is not None and suffix == ".csv":
+        raise ValueError(f"{path}: a table has no dates; name a .gpkg or .parquet")
     if not tracks.present.any():
         raise ValueError(f"no agent is present in the tracks; {path} would have no rows")
     dt = np.diff(tracks.times).min(initial=np.inf)
@@ -115,7 +128,10 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
             _write_csv(tracks, temporary)
         else:
             places = tracks.get_rows("states")[:, :2]
-            _write_parquet(tracks.iterate_dataframes(PART_ROWS), tracks.world, places, temporary)
+            parts = tracks.iterate_dataframes(PART_ROWS)
+            if start is not None:
+                parts = (add_dates(part, start) for part in parts)
+            _write_parquet(parts, tracks.world, places, temporary)
 
 
 def read_plain_tracks(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:
@@ -371,8 +387,7 @@ def write_dated_tracks(
     def iterate_frames() -> Iterator[pd.DataFrame]:
         for name, (tracks, start) in recordings.items():
             for frame in tracks.iterate_dataframes(PART_ROWS):
-                clock = pd.to_timedelta((frame["time"] * 1e6).round(), unit="us")
-                frame = frame[list(COLUMNS)].assign(recording=name, datetime=start + clock)
+                frame = add_dates(frame[list(COLUMNS)].assign(recording=name), start)
                 frame["id"] = f"{name}/" + frame["id"]
                 frame["time"] += (start - begin).total_seconds()
                 yield frame

@@ -17,6 +17,7 @@ from numpy import ndarray as Array
 from geoaim.base.displays import Display
 from geoaim.base.world import World, describe_world
 from geoaim.tracks.agent_types import get_colour
+from geoaim.tracks.dates import add_dates
 
 if TYPE_CHECKING:
     from datetime import datetime
@@ -249,8 +250,7 @@ class Tracks(Display):
         frame = self.to_dataframe()
         frame[["x", "y"]] += np.array(self.world.origin)
         if start is not None:
-            moment = pd.to_datetime(start, utc=True)
-            frame["datetime"] = moment + pd.to_timedelta((frame["time"] * 1e6).round(), unit="us")
+            frame = add_dates(frame, start)
         points = points_from_xy(frame["x"], frame["y"])
         return GeoDataFrame(frame, geometry=points, crs=self.world.crs)
 

@@ -1,12 +1,18 @@
 """Tracks written in other formats by the command."""
 
+import json
+import os
+import shutil
+
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 import geoaim
 from geoaim import read_tracks
 from geoaim.cli import app
+from geoaim.tracks.dates import read_start
 
 run = CliRunner().invoke
 SAMPLE = "samples/tracks.csv"
@@ -86,9 +92,35 @@ def test_files_of_one_recording_are_merged(tmp_path):
     assert both.ids == ("1", "2-1")
 
 
-def test_a_date_is_for_geopackages_only(tmp_path):
+@pytest.mark.parametrize("suffix", [".gpkg", ".parquet"])
+def test_dates_are_given_or_those_of_the_file_or_its_video_or_said_to_be_unknown(tmp_path, suffix):
+    def convert(source, name, *more):
+        found = run(app, ["convert", str(source), "-o", str(tmp_path / f"{name}{suffix}"), *more])
+        assert found.exit_code == 0, found.output
+        return read_start(tmp_path / f"{name}{suffix}"), " ".join(found.output.split())
+
+    start, said = convert("samples/tracks.csv", "a")
+    assert str(start)[:10] == "1970-01-01"
+    assert "(not known: give --start-date)" in said
+    start, _ = convert("samples/tracks.csv", "b", "--start-date", "2026-06-01 12:00+02:00")
+    assert start.isoformat() == "2026-06-01T10:00:00+00:00"
+    again, said = convert(tmp_path / f"b{suffix}", "c", "--start", "4", "--rate", "5")
+    assert abs(again - start) < pd.Timedelta("1ms")
+    assert f"b{suffix})" in said
+    folder = tmp_path / "placed"
+    folder.mkdir()
+    (folder / "map.tif").touch()
+    shutil.copy("samples/tracks.csv", folder)
+    shutil.copy("samples/hover.mp4", tmp_path)
+    os.utime(tmp_path / "hover.mp4", (0, 86400))
+    (folder / "report.json").write_text(json.dumps({"video": str(tmp_path / "hover.mp4")}))
+    start, said = convert(folder, "d")
+    assert start.isoformat() == "1970-01-02T00:00:00+00:00"
+    assert "(time of the file)" in said
+
+
+def test_dates_are_for_files_of_gis_programs(tmp_path):
     given = ["convert", "samples/tracks.csv", "--start-date", "2026-06-01"]
     refused = run(app, [*given, "-o", str(tmp_path / "a.csv")])
     assert refused.exit_code == 1
-    assert "name the output .gpkg" in " ".join(refused.output.split())
-    assert run(app, [*given, "-o", str(tmp_path / "a.gpkg")]).exit_code == 0
+    assert "name the output .gpkg or .parquet" in " ".join(refused.output.split())

@@ -63,7 +63,7 @@ def test_maps_textures_folders_and_tables_that_geoaim_writes_are_known(tmp_path)
         "aim.tif": "AIM: a map",
         "texture": "corner frame of a texture",
         "texture/texture.json": "corner frame of a texture",
-        "texture/texture.png": "image",
+        "texture/texture.png": "corner frame of a texture",
         "registration.csv": "registration of the frames of a video",
         "points/gcp_list.txt": "control points",
         "futures.csv": "futures that predict wrote",

@@ -1,10 +1,12 @@
 import json
 import os
 from contextlib import suppress
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+import rasterio
 
 from geoaim.aim.aim import AIM
 from geoaim.aim.rectification import rectify
@@ -16,6 +18,7 @@ from geoaim.mapping.texture import export_texture
 
 PLACE = np.array([[0.05, 0.01, 3.7], [0.01, -0.05, 21.3], [0.0, 0.0, 1.0]])
 OBLIQUE = np.array([[0.05, 0.01, 3.7], [0.01, -0.05, 21.3], [2e-4, 4e-4, 1.0]])
+FILES = {"texture.png", "texture.json", "texture.pgw", "texture.png.aux.xml"}
 
 
 def make_aim(place: np.ndarray) -> AIM:
@@ -42,6 +45,19 @@ def test_texture_holds_the_image_and_where_its_corners_lie(tmp_path):
     assert frame["corner_order"] == ["top-left", "top-right", "bottom-right", "bottom-left"]
     assert (frame["height"], frame["width"]) == (40, 60)
     assert frame["world"] == {"crs": "EPSG:32633", "origin": [5e5, 5.4e6]}
+
+
+def test_gis_programs_place_the_picture(tmp_path):
+    aim = make_aim(PLACE)
+    export_texture(aim, tmp_path)
+    expected = [0.05, 0.01, 5e5 + 3.7, 0.01, -0.05, 5.4e6 + 21.3]
+    with rasterio.open(tmp_path / "texture.png") as dataset:
+        np.testing.assert_allclose(list(dataset.transform)[:6], expected, rtol=1e-12)
+        assert dataset.crs.to_epsg() == 32633
+    export_texture(replace(aim, world=World(None)), tmp_path)
+    with rasterio.open(tmp_path / "texture.png") as dataset:
+        assert dataset.crs is None
+        np.testing.assert_allclose(list(dataset.transform)[:6], PLACE[:2].ravel())
 
 
 def test_pixel_sides_times_their_number_are_the_sides_of_the_corner_frame(tmp_path):
@@ -73,7 +89,7 @@ def test_resolution_of_the_texture_can_be_chosen(tmp_path):
 def test_failed_export_leaves_the_old_files_and_no_litter(tmp_path, monkeypatch):
     export_texture(make_aim(PLACE), tmp_path)
     old = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert set(old) == {"texture.png", "texture.json"}
+    assert set(old) == FILES
 
     def fail(*_, **__):
         raise KeyboardInterrupt
@@ -84,26 +100,26 @@ def test_failed_export_leaves_the_old_files_and_no_litter(tmp_path, monkeypatch)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == old
 
 
-@pytest.mark.parametrize("kept", range(5))
+@pytest.mark.parametrize("kept", range(7))
 def test_a_kill_at_any_step_leaves_a_whole_texture(tmp_path, monkeypatch, kept):
     export_texture(make_aim(PLACE), tmp_path)
     old = read_texture(tmp_path)
-    replaced, replace = [], os.replace
+    replaced, move = [], os.replace
 
     def stop(source, target):
         if len(replaced) == kept:
             raise KeyboardInterrupt
         replaced.append(target)
-        replace(source, target)
+        move(source, target)
 
     monkeypatch.setattr("geoaim.base.files.os.replace", stop)
     with suppress(KeyboardInterrupt):
         export_texture(make_aim(OBLIQUE), tmp_path, resolution=0.1)
-    assert len(replaced) == min(kept, 4)
+    assert len(replaced) == min(kept, 6)
     found = read_texture(tmp_path)
     assert np.array_equal(found.image, old.image) == (kept < 2)
-    if kept == 4:
-        assert sorted(path.name for path in tmp_path.iterdir()) == ["texture.json", "texture.png"]
+    if kept == 6:
+        assert {path.name for path in tmp_path.iterdir()} == FILES
 
 
 def test_a_picture_that_would_start_another_program_is_refused(tmp_path):

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 import geoaim
 from geoaim.base.errors import ModelError, TracksError
 from geoaim.cli import app
+from geoaim.cli.predict import NOISY, compare_with_noise, describe_test, judge_before
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.prediction.baselines import BASELINES
@@ -145,13 +146,52 @@ def test_pictures_show_the_futures(scene, hdmap, tmp_path):
     orange = (film[-1][..., 0] > 200) & (film[-1][..., 2] < 80) & (film[-1][..., 1] < 160)
     assert orange.sum() > 20
     assert all(side % 2 == 0 for side in film[0].shape[:2])
-    write_futures(futures, tmp_path / "f.csv", world=hdmap.world)
+    write_futures(futures, tmp_path / "f.csv")
     lines = (tmp_path / "f.csv").read_text().splitlines()
     assert lines[0].startswith("# crs: EPSG:")
     rows = list(csv.DictReader(lines[2:]))
     assert {row["sample"] for row in rows} == {"0", "1"}
     assert float(rows[0]["time"]) == pytest.approx(float(scene.times[20]) + 0.1, abs=1e-6)
     assert len(rows) == int(torch.isfinite(futures.states[..., 0]).sum())
+
+
+def drive_ahead(speed):
+    """A stand-in for a model, whose vehicles go on at a share of their speed."""
+
+    def sample(segments, ground, *, history, samples, generator):
+        states = segments.states[:, None].repeat(1, samples, 1, 1, 1)
+        way = torch.arange(1, segments.steps - history + 1) * segments.dt * speed
+        now = states[:, :, :, history - 1 : history]
+        heading = torch.stack([now[..., 2].cos(), now[..., 2].sin()], dim=-1)
+        states[:, :, :, history:, :2] = now[..., :2] + now[..., 3:] * way[:, None] * heading
+        return states
+
+    model = init_model(replace(TINY, kind="vehicle"))
+    model.sample = sample
+    return model
+
+
+def test_what_was_recorded_before_tells_whether_a_model_is_better_than_noise(scene):
+    errors = judge_before(drive_ahead(1.0), scene, 400, 30)
+    assert errors["model"].counts.sum() > 20
+    assert list(errors) == ["model", NOISY]
+    bad = judge_before(drive_ahead(3.0), scene, 400, 30)
+    assert bad["model"].mean > 3 * errors["model"].mean
+    assert bad[NOISY].mean == errors[NOISY].mean
+    assert compare_with_noise(bad) == "worse"
+    assert "the model is worse than that here: learn the place" in describe_test(bad)
+    assert compare_with_noise({"model": bad[NOISY], NOISY: bad["model"]}) == "better"
+    assert compare_with_noise({"model": bad[NOISY], NOISY: bad[NOISY]}) == "as good"
+
+
+def test_nothing_after_the_start_and_no_short_recording_tests_a_model(scene):
+    model = drive_ahead(1.0)
+    later = replace(scene, observed=scene.observed.clone())
+    later.observed[:, 301:] = torch.nan
+    for name, errors in judge_before(model, scene, 300, 30).items():
+        assert errors.mean == judge_before(model, later, 300, 30)[name].mean
+    assert judge_before(model, scene, 36, 30) == {}
+    assert "Too little was recorded" in describe_test({})
 
 
 @pytest.mark.slow
@@ -176,6 +216,8 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
         )
         assert done.exit_code == 0, done.output
         assert (tmp_path / name).stat().st_size > 1000
+        assert "the model is better than that here" in " ".join(done.output.split())
+    assert "\n# Before --start, minADE of 6 futures of " in (tmp_path / "f.csv").read_text()
     done = run(app, ["predict", *given, "-o", str(tmp_path / "f.txt")])
     assert done.exit_code == 1
     done = run(app, ["predict", *given, "-o", str(tmp_path / "x.csv"), "--start", "500"])

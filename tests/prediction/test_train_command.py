@@ -35,7 +35,8 @@ def set_min_ade(monkeypatch, *values):
     """Let validations of a training find given values of minADE, one after the other."""
     found = iter(values)
     monkeypatch.setattr("geoaim.prediction.training._validate", lambda *given: (1.0, next(found)))
-    # nothing here looks at the networks of the place and of its motion
+    # nothing here looks at the network of the place, at that of its motion, or at spread futures
+    monkeypatch.setattr(sys.modules["geoaim.prediction.predict"], "DRAWS", 1)
     monkeypatch.setitem(inspect.unwrap(train_plain).__kwdefaults__, "steps", 2)
 
 

@@ -150,6 +150,21 @@ def test_parquet_is_geoparquet(tmp_path, crs):
     np.testing.assert_allclose(column["bbox"], [*positions.min(axis=0), *positions.max(axis=0)])
 
 
+def test_geopandas_reads_dates_and_places_of_parquet(tmp_path):
+    geopandas = pytest.importorskip("geopandas")
+    tracks = two_agents(world=World("EPSG:32635", (10.0, 20.0)))
+    write_tracks(tracks, tmp_path / "a.parquet", start="2026-06-01 12:00+02:00")
+    frame = geopandas.read_parquet(tmp_path / "a.parquet")
+    assert str(frame["datetime"].dtype).startswith("datetime64")
+    noon = pd.Timestamp("2026-06-01T10:00Z")
+    np.testing.assert_allclose((frame["datetime"] - noon).dt.total_seconds(), frame["time"])
+    assert frame.crs.to_epsg() == 32635
+    np.testing.assert_allclose(frame.geometry.x, frame["x"] + 10.0)
+    assert read_plain_tracks(tmp_path / "a.parquet").ids == tracks.ids
+    with pytest.raises(ValueError, match="a table has no dates"):
+        write_tracks(tracks, tmp_path / "a.csv", start="2026-06-01")
+
+
 @pytest.mark.parametrize("name", ["a.csv", "a.parquet"])
 def test_observed_states_and_uncertainty_are_kept(tmp_path, name):
     tracks = make_uncertain_tracks()

@@ -125,7 +125,7 @@ def test_futures_are_described_alike_from_memory_and_from_a_file(aim, contents, 
     first = described["agents"][0]
     row = scene.ids.index(first["id"])
     np.testing.assert_allclose(first["samples"][1], states[1, row, :, :2], atol=0.01)
-    write_futures(futures, tmp_path / "futures.csv", world=aim.world)
+    write_futures(futures, tmp_path / "futures.csv")
     filed = describe_futures_file(tmp_path / "futures.csv")
     assert [agent["id"] for agent in filed["agents"]] == [a["id"] for a in described["agents"]]
     np.testing.assert_allclose(filed["agents"][0]["samples"], first["samples"], atol=0.011)

@@ -19,7 +19,7 @@ from geoaim.base.files import MAP_FILE, find_in_folder
 from geoaim.base.geometry import make_similarity, transform_points, translation
 from geoaim.base.world import World, choose_world, lonlat_from_world
 from geoaim.imagery.alignment.by_control_points import georeference_picture
-from geoaim.imagery.alignment.placement import (
+from geoaim.imagery.alignment.evidence import (
     Evidence,
     apply_alignment,
     list_evidence,

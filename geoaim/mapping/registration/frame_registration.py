@@ -14,6 +14,13 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.base.geometry import transform_points
+from geoaim.mapping.registration.ambiguity import (
+    AmbiguousPlacementError,
+    Overview,
+    choose_placement,
+    is_at_rest,
+    make_overview,
+)
 from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.motion_models import Model
 from geoaim.mapping.registration.patches import (
@@ -25,13 +32,6 @@ from geoaim.mapping.registration.patches import (
     make_template,
     predict_uncertainty,
     shrink_image,
-)
-from geoaim.mapping.registration.placements import (
-    AmbiguousPlacementError,
-    Overview,
-    choose_placement,
-    is_at_rest,
-    make_overview,
 )
 from geoaim.mapping.video.detections import Detections, convert_boxes, mask_boxes
 from geoaim.mapping.video.frames import Frame

@@ -12,8 +12,8 @@ from numpy import ndarray as Array
 
 from geoaim.base.errors import RegistrationError
 from geoaim.base.geometry import image_corners, transform_points
+from geoaim.mapping.registration.ambiguity import MAX_REST_SHIFT_PX, MOVING_PART
 from geoaim.mapping.registration.frame_registration import FrameRegistration
-from geoaim.mapping.registration.placements import MAX_REST_SHIFT_PX, MOVING_PART
 
 MIN_FRAMES = 5  # of a sequence that is checked
 MIN_JUMP_SHARE = 0.01  # of the image's width; a smaller jump is not an error

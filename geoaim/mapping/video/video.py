@@ -398,9 +398,9 @@ def _read_image(path: Path) -> UInt8[Array, "H W 3"]:
     with refuse_damaged(path, VideoError, "an image that can be read"):
         with open_raster_file(path) as header:
             height, width = header.shape
-            if header.count > 4:  # RGB and opacity
+            if header.count > 4 or "GEOAIM" in header.tags():
                 raise ValueError(
-                    f"it has {header.count} bands; a map of geoaim is for geoaim view and align"
+                    f"it has {header.count} bands or is a map of geoaim, for geoaim view and align"
                 )
         size, needed = path.stat().st_size, BYTES_PER_PIXEL * height * width
         check_memory(path, needed, size, VideoError, f"{height} x {width} pixels")

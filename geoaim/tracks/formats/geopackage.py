@@ -1,11 +1,14 @@
 """Tracks in a GeoPackage (OGC 12-128r18), which QGIS and other programs show on a map.
 
-The layer `states` has a point for each agent and time, the layer `paths` a line for each agent.
+The layer `states` has a point for each agent and time, the layer `paths` a line for each agent;
+`layer_styles` is the table in which QGIS looks for the style of a layer.
 """
 
 import json
 import os
+import sqlite3
 import warnings
+from contextlib import closing
 from datetime import datetime
 from pathlib import Path
 from types import ModuleType
@@ -17,21 +20,27 @@ import shapely
 
 from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_write
-from geoaim.base.limits import check_memory, open_sqlite, refuse_damaged
+from geoaim.base.limits import check_memory, is_writable_beside, open_sqlite, refuse_damaged
 from geoaim.base.world import World
+from geoaim.tracks.dates import DATES, EPOCH, add_dates
 from geoaim.tracks.files import choose_own_world, place_rows
 from geoaim.tracks.formats.shared import TrackFormat
+from geoaim.tracks.qgis_style import ARROW, LINE, TEMPORAL, make_qml
 from geoaim.tracks.tables import make_tracks
 from geoaim.tracks.tracks import COLUMNS, Tracks
 
 NEEDED = "a GeoPackage of tracks"
 STATE_COLUMNS = tuple(name for name in COLUMNS if name not in ("x", "y"))
 NUMBERS = STATE_COLUMNS[2:]
-EPOCH = "1970-01-01"  # at which `time` is 0, where nobody says when that was
 DATE = f"{EPOCH}T00:00:00.000Z"  # instead of the time of writing: same tracks, same bytes
-CLOCK = "datetime"  # column by which QGIS's temporal controller plays, in UTC
 UTC = 100  # as GDAL numbers time zones
 SQLITE = b"SQLite format 3\0"  # first bytes: GDAL would open other formats by the name .gpkg
+# as QGIS makes it
+STYLES = """CREATE TABLE layer_styles (id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL,
+f_table_catalog TEXT(256), f_table_schema TEXT(256), f_table_name TEXT(256),
+f_geometry_column TEXT(256), styleName TEXT(30), styleQML TEXT, styleSLD TEXT, useAsDefault BOOLEAN,
+description TEXT, owner TEXT(30), ui TEXT(30),
+update_time DATETIME DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')))"""
 
 
 def write_geopackage(
@@ -51,14 +60,13 @@ def write_geopackage(
         ImportError: pyogrio is missing.
         ValueError: no agent is present, or `start` is no date.
     """
-    moment = parse_start(start)
     pyogrio = _import_pyogrio()
-    frame = tracks.to_dataframe()
+    frame = add_dates(tracks.to_dataframe(), start)
     if not len(frame):
         raise ValueError(f"no agent is present in the tracks; {path} would have no rows")
     points = shapely.points(frame[["x", "y"]].to_numpy() + tracks.world.origin)
-    clock = moment + (frame["time"].to_numpy() * 1000).round().astype("timedelta64[ms]")
-    states = frame[list(STATE_COLUMNS)].assign(**{CLOCK: clock})
+    dates = frame[DATES].dt.round("ms").dt.tz_localize(None).astype("datetime64[ms]")
+    states = frame[list(STATE_COLUMNS)].assign(**{DATES: dates})
     paths, lines = _list_paths(tracks)
     # other programs ignore the description, which brings the origin back
     origin = json.dumps({"origin": list(map(float, tracks.world.origin))})
@@ -82,10 +90,11 @@ def write_geopackage(
                     crs=tracks.world.crs,
                     driver="GPKG",
                     layer_options=options,
-                    gdal_tz_offsets={CLOCK: np.full(len(table), UTC)} if CLOCK in table else None,
+                    gdal_tz_offsets={DATES: np.full(len(table), UTC)} if DATES in table else None,
                 )
         finally:
             pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
+        _write_styles(temporary, tracks)
 
 
 def read_geopackage(path: str | os.PathLike[str]) -> Tracks:
@@ -103,13 +112,16 @@ def read_geopackage(path: str | os.PathLike[str]) -> Tracks:
     with refuse_damaged(path, TracksError, NEEDED):
         _check_tables(path)
         with warnings.catch_warnings(record=True) as heard:
-            info = pyogrio.read_info(path, layer="states")
+            options = {} if is_writable_beside(path) else {"IMMUTABLE": "YES"}
+            info = pyogrio.read_info(path, layer="states", **options)
             if missing := set(STATE_COLUMNS) - set(info["fields"]):
                 raise TracksError(
                     f"{path}: the layer states has the columns {', '.join(info['fields'])}, and "
                     f"lacks {', '.join(sorted(missing))}: rename or add them"
                 )
-            meta, _, points, values = pyogrio.raw.read(path, layer="states", columns=STATE_COLUMNS)
+            meta, _, points, values = pyogrio.raw.read(
+                path, layer="states", columns=STATE_COLUMNS, **options
+            )
         if heard:  # GDAL goes on with 0 where it cannot read a value
             raise ValueError(heard[0].message)
         frame = _read_clock(pd.DataFrame(dict(zip(meta["fields"], values, strict=True))))
@@ -120,26 +132,15 @@ def read_geopackage(path: str | os.PathLike[str]) -> Tracks:
         is_point = shapely.get_type_id(shapes) == shapely.GeometryType.POINT
         lacking = ~is_point | shapely.is_empty(shapes)
         if lacking.any():
-            raise ValueError(f"row {int(lacking.argmax()) + 1} of the layer states has no point")
+            raise TracksError(
+                f"{path}: row {int(lacking.argmax()) + 1} of the layer states has no point: delete "
+                "such rows, or give them one"
+            )
         places = np.column_stack([shapely.get_x(shapes), shapely.get_y(shapes)])
         crs = None if "Undefined Cartesian" in str(meta["crs"]) else meta["crs"]
         origin = _read_origin(info)
         world = choose_own_world(places, crs) if origin is None else World(crs, origin)
         return make_tracks(place_rows(frame, places, crs, world)[list(COLUMNS)], world)
-
-
-def parse_start(start: str | datetime) -> np.datetime64:
-    """Parse a date and time, in UTC if it names no zone, to the millisecond.
-
-    >>> str(parse_start("2026-06-01 12:00+02:00"))
-    '2026-06-01T10:00:00.000'
-    """
-    try:
-        return np.datetime64(pd.to_datetime(start, utc=True).tz_localize(None), "ms")
-    except (ValueError, TypeError) as error:
-        raise ValueError(
-            f"{start!r} is not a date and time, such as 2026-06-01T12:00:00Z"
-        ) from error
 
 
 def _read_clock(frame: pd.DataFrame) -> pd.DataFrame:
@@ -188,6 +189,31 @@ def _check_tables(path: Path) -> None:
         (count,) = database.execute("SELECT count(*) FROM states").fetchone()
     # 1000 bytes of memory for a row
     check_memory(path, count * 1000, path.stat().st_size, TracksError, f"{count} rows")
+
+
+def _write_styles(path: Path, tracks: Tracks) -> None:
+    """Add the table `layer_styles`, in which QGIS looks for the style of a layer.
+
+    By sqlite3, since GDAL tells of no full disk when it closes a file.
+    """
+    step = float(np.median(np.diff(tracks.times))) if len(tracks.times) > 1 else 1.0
+    temporal = TEMPORAL.format(DATES, round(step * 1000))
+    styles = {
+        "states": make_qml(tracks.types, ARROW, temporal),
+        "paths": make_qml(tracks.types, LINE),
+    }
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(STYLES)
+        database.execute(
+            "INSERT INTO gpkg_contents (table_name, data_type, identifier, last_change, srs_id) "
+            "VALUES ('layer_styles', 'attributes', 'layer_styles', ?, 0)",
+            [DATE],
+        )
+        database.executemany(
+            "INSERT INTO layer_styles VALUES (NULL, '', '', ?, 'geom', 'agents', ?, '', 1, "
+            "'by type', '', NULL, ?)",
+            [(layer, style, DATE) for layer, style in styles.items()],
+        )
 
 
 def _read_origin(info: dict[str, Any]) -> tuple[float, float] | None:

@@ -43,6 +43,18 @@ def test_zero_shot_models_stand_beside_baselines_and_the_recordings_rates(
     assert list(methods[names[-2]]) == ["collision rate"]
 
 
+def test_what_is_told_beforehand_is_counted_with_what_came(recording, monkeypatch, tmp_path):
+    scene = slice_scene(recording.make_scene(0.1), slice(0, 130))
+    monkeypatch.setattr(zero_shot, "_list_tested", lambda: {"here": lambda: [scene]})
+    monkeypatch.setattr(zero_shot, "TESTED_S", (3,))
+    paths = zero_shot.run_tests_before(Workspace(tmp_path, tmp_path))
+    (row,) = json.loads(paths[0].read_text())["places"]
+    told = [row[f"told {answer}, then better"] for answer in ("better", "as good", "worse")]
+    counts = [int(cell.split(",")[0]) for cell in told]
+    assert row["untested"] == 1  # nothing was recorded before the first one
+    assert sum(counts) == row["starts"] - 1 > 0
+
+
 def test_estimates_from_the_past_are_compared(recording, monkeypatch, tmp_path):
     first = cut_tracks(recording.tracks, float(recording.tracks.times[0]), 5.0)
     monkeypatch.setattr(songdo, "read_recording", lambda: RealRecording(first, recording.aim))

@@ -11,8 +11,8 @@ from geoaim.aim.position import CHI2_2D, read_position_covariance, state_positio
 from geoaim.base.errors import AlignmentError, GeoaimWarning
 from geoaim.base.geometry import translation
 from geoaim.imagery.alignment.before_after import draw_alignment
+from geoaim.imagery.alignment.evidence import AimEvidence, align_mosaic, place_mosaic
 from geoaim.imagery.alignment.parts import Labels, align_parts, crop_to_mask, mask_imagery
-from geoaim.imagery.alignment.placement import AimEvidence, align_mosaic, place_mosaic
 from geoaim.imagery.alignment.result import ImageryAlignment, Prior
 from geoaim.imagery.mosaic import Mosaic
 from tests.imagery.alignment.alignment_pairs import as_aim, made, misplaced

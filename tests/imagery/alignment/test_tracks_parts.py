@@ -6,8 +6,8 @@ import pytest
 from geoaim.aim.position import CHI2_2D
 from geoaim.base.errors import GeoaimWarning
 from geoaim.imagery.alignment.by_tracks import align_tracks, compute_moments, list_shifts
+from geoaim.imagery.alignment.evidence import TracksEvidence
 from geoaim.imagery.alignment.parts import Labels
-from geoaim.imagery.alignment.placement import TracksEvidence
 from geoaim.imagery.alignment.result import Prior
 from geoaim.imagery.alignment.tracks_parts import align_parts_to_tracks, weigh_displacement
 from tests.imagery.alignment.alignment_pairs import made

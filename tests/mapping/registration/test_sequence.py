@@ -3,8 +3,8 @@ import pytest
 
 from geoaim.base.errors import RegistrationError
 from geoaim.base.geometry import translation
+from geoaim.mapping.registration.ambiguity import MOVING_PART
 from geoaim.mapping.registration.frame_registration import FrameRegistration
-from geoaim.mapping.registration.placements import MOVING_PART
 from geoaim.mapping.registration.sequence import check_ground, find_jumps
 
 SIZE = (540, 960)

@@ -6,13 +6,14 @@ import sys
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pyogrio
 import pytest
 import shapely
 
-from geoaim.base.errors import TracksError
+from geoaim.base.errors import GeoaimError, TracksError
 from geoaim.base.world import World
 from geoaim.tracks.files import read_plain_tracks
 from geoaim.tracks.formats import read_geopackage, read_tracks, write_geopackage
@@ -53,6 +54,7 @@ def test_file_has_what_every_geopackage_has(written):
     assert ask(written, "SELECT table_name, data_type, srs_id FROM gpkg_contents") == [
         ("states", "features", 32635),
         ("paths", "features", 32635),
+        ("layer_styles", "attributes", 0),
     ]
     assert ask(written, "PRAGMA integrity_check") == [("ok",)]
     assert ask(written, "PRAGMA foreign_key_check") == []
@@ -69,6 +71,30 @@ def test_states_have_dates_that_gis_programs_play(tmp_path, written):
         write_geopackage(SAMPLE, tmp_path / "b.gpkg", start="noon")
 
 
+def test_qgis_finds_styles_by_type_turned_by_heading_and_played_by_date(written):
+    # the query of QGIS for the style of a layer, which it takes where one is the default
+    query = (
+        "SELECT styleQML FROM layer_styles WHERE f_table_schema = '' AND f_table_name = '{}' "
+        "AND f_geometry_column = 'geom' AND useAsDefault = 1"
+    )
+    assert ask(written, "SELECT column_name FROM gpkg_geometry_columns") == [("geom",)] * 2
+    states, paths = (
+        ElementTree.fromstring(ask(written, query.format(layer))[0][0])
+        for layer in ("states", "paths")
+    )
+    played = states.find("temporal").attrib
+    assert (played["startField"], played["fixedDuration"]) == ("datetime", "100")
+    for root, colour in ((states, "color"), (paths, "line_color")):
+        numbers = {one.get("value"): one.get("symbol") for one in root.iter("category")}
+        assert list(numbers) == sorted(set(SAMPLE.types))
+        symbols = {one.get("name"): one for one in root.iter("symbol")}
+        assert set(symbols) == set(numbers.values())
+        car = symbols[numbers["car"]].find("layer")
+        assert car.find(f"Option/Option[@name='{colour}']").get("value") == "26,89,230,255"
+    angle = states.find(".//Option[@name='angle']/Option[@name='expression']")
+    assert angle.get("value") == '90 - degrees("heading")'
+
+
 def test_dates_and_multipoints_of_gis_programs_are_read(tmp_path, written):
     frame = pyogrio.read_dataframe(written, layer="states")
     frame["time"] = frame.pop("datetime")
@@ -77,6 +103,17 @@ def test_dates_and_multipoints_of_gis_programs_are_read(tmp_path, written):
     read = read_tracks(tmp_path / "b.gpkg")
     np.testing.assert_array_equal(read.times, SAMPLE.times)
     assert read.present.sum() == SAMPLE.present.sum()
+
+
+def test_wal_is_read_in_a_folder_without_leave_to_write_or_is_named(tmp_path, written, monkeypatch):
+    path = Path(shutil.copy(written, tmp_path / "a.gpkg"))
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA journal_mode = WAL")
+    monkeypatch.setattr("geoaim.base.limits.os.access", lambda *_: False)
+    assert read_tracks(path).ids == SAMPLE.ids
+    (tmp_path / "a.gpkg-wal").write_bytes(b"changes")
+    with pytest.raises(GeoaimError, match=r"a\.gpkg-wal holds changes that are not in a\.gpkg yet"):
+        read_tracks(path)
 
 
 def test_paths_are_lines_in_the_crs(written):
@@ -101,10 +138,13 @@ def test_paths_are_lines_in_the_crs(written):
             "the layer states has .* and lacks speed: rename or add",
         ),
         ("UPDATE states SET geom = x'00'", "row 1 of the layer states has no point"),
-        ("UPDATE states SET geom = NULL WHERE fid = 7", "row 7 of the layer states has no point"),
+        (
+            "UPDATE states SET geom = NULL WHERE fid = 7",
+            r"a\.gpkg: row 7 of the layer states has no point: delete",
+        ),
         ("UPDATE states SET heading = 'north'", "heading 'north' is not a number"),
         ("DELETE FROM states", "has no rows"),
-        ("DELETE FROM gpkg_contents", "a GeoPackage of tracks, or is damaged"),
+        ("DELETE FROM gpkg_contents", "row 1 of the layer states has no point"),
     ],
 )
 def test_broken_file_is_refused_with_its_reason(tmp_path, written, change, message):

@@ -4,15 +4,15 @@ import pytest
 from benchmarks.registration.stability.clips import SweepCase, make_clip
 from benchmarks.registration.stability.sweep import run_geoaim
 from geoaim.base.geometry import translation
-from geoaim.mapping.registration.frame_registration import make_keyframe, register_frame
-from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
-from geoaim.mapping.registration.placements import (
+from geoaim.mapping.registration.ambiguity import (
     AmbiguousPlacementError,
     choose_placement,
     compare_placements,
     is_at_rest,
     make_overview,
 )
+from geoaim.mapping.registration.frame_registration import make_keyframe, register_frame
+from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
 from tests.conftest import textured
 
 HEIGHT, WIDTH, FACTOR = 270, 480, 2

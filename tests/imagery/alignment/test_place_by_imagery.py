@@ -15,8 +15,8 @@ from geoaim.base.geometry import image_corners, make_similarity, transform_point
 from geoaim.base.progress import no_progress
 from geoaim.base.world import World, lonlat_from_world
 from geoaim.cli import app
-from geoaim.imagery.alignment import placing
-from geoaim.imagery.alignment.placing import place_by_imagery
+from geoaim.imagery.alignment import place_by_imagery as placing
+from geoaim.imagery.alignment.place_by_imagery import place_by_imagery
 
 SAMPLES = Path(__file__).parents[3] / "samples"
 
