@@ -77,9 +77,9 @@ def read_scene(
     hdmap = None if source.hdmap is None else read_hdmap(source.hdmap, aim.world)
     lights = read_any_lights(source.lights, source.stop_lines, hdmap, aim.world)
     tracks = _read_source_tracks(source, source.tracks)
-    if rate is not None:
-        tracks = resample_tracks(tracks, rate)
     with name_file(source.tracks):
+        if rate is not None:
+            tracks = resample_tracks(tracks, rate)
         scene = make_scene(aim, tracks, lights)
     return scene, hdmap, aim.world
 
@@ -329,13 +329,24 @@ def _read_catalog(folder: Path) -> list[SceneSource]:
     return sources
 
 
-def read_scenes(sources: list[SceneSource], rate: float, progress: Progress) -> list["Scene"]:
-    """Read scenes; those of one map share its ground, so that it is kept once."""
+def read_scenes(
+    sources: list[SceneSource], rate: float, progress: Progress, *, skip: bool = False
+) -> list["Scene"]:
+    """Read scenes; those of one map share its ground, so that it is kept once.
+
+    With `skip`, those whose tracks cannot be used are left out with a warning, unless none is left.
+    """
     grounds: dict[Path, Ground] = {}
     scenes = []
     for number, source in enumerate(sources):
         progress("read", number, len(sources))
-        scene, _, _ = read_scene(source, rate=rate)
+        try:
+            scene, _, _ = read_scene(source, rate=rate)
+        except TracksError as error:
+            if not skip or (number == len(sources) - 1 and not scenes):
+                raise
+            warn(f"a recording is left out: {error}")
+            continue
         scenes.append(replace(scene, ground=grounds.setdefault(source.aim.resolve(), scene.ground)))
     progress("read", len(sources), len(sources))
     return scenes

@@ -160,7 +160,7 @@ def _make_dataset(
                 f"{source.aim} names the files of each recording; leave their options out"
             )
         sources = read_scene_sources(source.aim)
-    scenes = list(read_scenes(sources, 1 / dt, progress))
+    scenes = read_scenes(sources, 1 / dt, progress, skip=source.aim.is_dir())
     dataset = make_dataset(
         scenes,
         model.config,

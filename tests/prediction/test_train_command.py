@@ -180,6 +180,17 @@ def test_a_catalogue_gives_its_recordings_with_tracks_and_names_the_others(aim, 
     assert lists_recordings(tmp_path)
     assert not lists_recordings(aim)
     assert len(read_scenes(sources, 2.5, no_progress)) == 2
+    few = "# crs: EPSG:32635\nid,type,time,x,y,heading,speed,length,width\n" + "".join(
+        f"7,car,{time},{4 * time},0,0,4,4.5,1.8\n" for time in (0, 4, 8)
+    )
+    (tmp_path / "few.csv").write_text(few)
+    sources[0] = replace(sources[0], tracks=tmp_path / "few.csv")
+    with pytest.raises(TracksError, match=r"few\.csv"):
+        read_scenes(sources, 2.5, no_progress)
+    with pytest.warns(GeoaimWarning, match=r"recording is left out: .*few\.csv.* 4 s apart"):
+        assert len(read_scenes(sources, 2.5, no_progress, skip=True)) == 1
+    with pytest.raises(TracksError, match=r"few\.csv"):
+        read_scenes(sources[:1], 2.5, no_progress, skip=True)
     empty = tmp_path / "empty"
     write_record(make_record(Recording("a", "a.mp4"), "refused", ""), get_folder(str(empty), "a"))
     with pytest.raises(TracksError, match="has tracks: give its table a column tracks"):
