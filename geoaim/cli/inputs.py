@@ -337,7 +337,7 @@ def read_scenes(
     With `skip`, those whose tracks cannot be used are left out with a warning, unless none is left.
     """
     grounds: dict[Path, Ground] = {}
-    scenes = []
+    scenes: list[Scene] = []
     for number, source in enumerate(sources):
         progress("read", number, len(sources))
         try:
