@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geoaim.base.csv_rows import parse_number, read_rows
-from geoaim.base.errors import TracksError
+from geoaim.base.errors import TracksError, warn
 from geoaim.base.progress import Progress
 from geoaim.cli import options
 from geoaim.cli.options import AgentKind
@@ -77,9 +77,9 @@ def read_scene(
     hdmap = None if source.hdmap is None else read_hdmap(source.hdmap, aim.world)
     lights = read_any_lights(source.lights, source.stop_lines, hdmap, aim.world)
     tracks = _read_source_tracks(source, source.tracks)
-    if rate is not None:
-        tracks = resample_tracks(tracks, rate)
     with name_file(source.tracks):
+        if rate is not None:
+            tracks = resample_tracks(tracks, rate)
         scene = make_scene(aim, tracks, lights)
     return scene, hdmap, aim.world
 
@@ -277,8 +277,18 @@ FILES = ("aim", "tracks", "lights", "hdmap", "stop_lines")
 NUMBERS = ("tracks_resolution", "tracks_frame_rate")
 
 
+def lists_recordings(path: Path) -> bool:
+    """Tell whether a path is no map, but a table of recordings or a catalogue."""
+    return path.suffix.lower() == ".csv" or (path / "recordings").is_dir()
+
+
 def read_scene_sources(path: Path) -> list[SceneSource]:
-    """Read a CSV with the columns `aim` and `tracks`, and other fields of `SceneSource`."""
+    """Read a CSV with the columns `aim` and `tracks`, and other fields of `SceneSource`.
+
+    Of a folder of `geoaim catalog build`, all recordings that have a map and tracks.
+    """
+    if path.is_dir():
+        return _read_catalog(path)
     with open(path, encoding="utf-8-sig", newline="") as file:
         try:
             header, rows = read_rows(file)
@@ -300,13 +310,43 @@ def read_scene_sources(path: Path) -> list[SceneSource]:
     return sources
 
 
-def read_scenes(sources: list[SceneSource], rate: float, progress: Progress) -> list["Scene"]:
-    """Read scenes; those of one map share its ground, so that it is kept once."""
+def _read_catalog(folder: Path) -> list[SceneSource]:
+    """List the recordings of a catalogue that have tracks; say which ones have none."""
+    from geoaim.catalog.pipeline import read_catalog
+    from geoaim.catalog.records import FOLDER, MAP, TRACKS
+
+    records = read_catalog(folder).records
+    names = [name for name, record in records.items() if TRACKS in record.files]
+    places = [folder / FOLDER / name for name in names]
+    sources = [SceneSource(place / MAP, place / TRACKS) for place in places]
+    if not sources:
+        raise TracksError(
+            f"no recording of {folder} has tracks: give its table a column tracks with `video` or "
+            "files, and build it again"
+        )
+    if others := sorted(records.keys() - set(names)):
+        warn(f"recordings without map or tracks are left out: {', '.join(others)}")
+    return sources
+
+
+def read_scenes(
+    sources: list[SceneSource], rate: float, progress: Progress, *, skip: bool = False
+) -> list["Scene"]:
+    """Read scenes; those of one map share its ground, so that it is kept once.
+
+    With `skip`, those whose tracks cannot be used are left out with a warning, unless none is left.
+    """
     grounds: dict[Path, Ground] = {}
-    scenes = []
+    scenes: list[Scene] = []
     for number, source in enumerate(sources):
         progress("read", number, len(sources))
-        scene, _, _ = read_scene(source, rate=rate)
+        try:
+            scene, _, _ = read_scene(source, rate=rate)
+        except TracksError as error:
+            if not skip or (number == len(sources) - 1 and not scenes):
+                raise
+            warn(f"a recording is left out: {error}")
+            continue
         scenes.append(replace(scene, ground=grounds.setdefault(source.aim.resolve(), scene.ground)))
     progress("read", len(sources), len(sources))
     return scenes

@@ -35,7 +35,7 @@ def train(
         Path,
         typer.Argument(
             help="AIM, with --tracks; or a table of recordings, .csv, with the columns aim, "
-            "tracks and, where needed, tracks_world, lights, hdmap, ..."
+            "tracks and, where needed, tracks_world, lights, hdmap, ...; or a folder of catalog"
         ),
     ],
     *,
@@ -150,17 +150,17 @@ def _make_dataset(
     progress: Progress,
 ) -> "tuple[list[Scene], Dataset]":
     """Read one or several recordings; segments to train on, and those of held-out agents."""
-    from geoaim.cli.inputs import read_scene_sources, read_scenes
+    from geoaim.cli.inputs import lists_recordings, read_scene_sources, read_scenes
     from geoaim.prediction.dataset import hold_out_agents, make_dataset
 
     sources, dt = [source], model.config.dt
-    if source.aim.suffix.lower() == ".csv":
+    if lists_recordings(source.aim):
         if any(value for name, value in vars(source).items() if name != "aim"):
             raise ValueError(
                 f"{source.aim} names the files of each recording; leave their options out"
             )
         sources = read_scene_sources(source.aim)
-    scenes = list(read_scenes(sources, 1 / dt, progress))
+    scenes = read_scenes(sources, 1 / dt, progress, skip=source.aim.is_dir())
     dataset = make_dataset(
         scenes,
         model.config,

@@ -104,7 +104,10 @@ def normalise_address(text: str, name: str) -> str:
         )
     address = PLACEHOLDER.sub(lambda found: _translate(found[1], found[0], name), address)
     if not _has_numbers(address):
-        raise ImageryError(f"{name} does not say where the numbers of tiles stand: {NEEDED}")
+        raise ImageryError(
+            f"{name} does not say where the numbers of tiles stand: {NEEDED}; a file of "
+            "another kind is downloaded first"
+        )
     return address
 
 

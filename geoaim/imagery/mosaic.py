@@ -366,7 +366,7 @@ def _check_coverage(sources: Sequence[_Source], covered: Bool[Array, "H W"]) -> 
     for error in (error for source in sources for error in source.unreadable.values()):
         warn(f"file skipped, its area stays empty: {error}")
     if not covered.any():
-        names = ", ".join(source.layer.name for source in sources)
+        names = ", ".join(Path(source.layer.name).name for source in sources)
         raise ImageryError(
             f"{names}: nothing but nodata, transparency or missing tiles there; choose another "
             "place, or for tiles another zoom"

@@ -7,9 +7,8 @@ any other.
 import json
 import re
 import time
-import urllib.request
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -36,12 +35,11 @@ from geoaim.imagery.addresses import (
     name_address,
 )
 from geoaim.imagery.rasters import Raster, Region, describe_extent, measure_resolution
-from geoaim.imagery.tile_service import TIMEOUT_S, TOTAL_S
+from geoaim.imagery.tile_service import RETRIES, TIMEOUT_S, TOTAL_S, request
 
 FINEST_RESOLUTION_M = 0.1  # of a service, where none is asked for
 STRIP_PX = 512  # rows that are read between two looks at the clock
 MARGIN_PX = 8  # of the needed part, for resampling at its edge
-MAX_ITEM_BYTES = 10_000_000
 MAX_WHOLE_PX = 4_000_000_000  # a dataset that is larger is no image, but a service of the Earth
 CACHE = Path("~/.cache/geoaim/gdal")
 IMAGE_TYPES = ("image/tiff", "image/jp2")
@@ -76,8 +74,23 @@ def open_remote(address: str, region: Region | None, resolution: float | None) -
         with rasterio.Env(**settings), rasterio.open(target, driver=driver, sharing=False) as data:
             yield data
     except (RasterioError, CPLE_BaseError, OSError) as error:
-        reason = hide_keys(str(error.__cause__ or error))
+        reason = _explain(str(error.__cause__ or error))
         raise ImageryError(f"{name} cannot be read: {reason}") from error
+
+
+def _explain(message: str) -> str:
+    """Say what a message of GDAL means for an address."""
+    if "not recognized as" in message:
+        return (
+            "it is no GeoTIFF, or its server sends no parts of files (HTTP ranges): download it, "
+            "and give the file"
+        )
+    if "Missing Capabilities" in message or "doesn't have matching" in message:
+        return "it does not answer with the capabilities of a WMTS; is the address right?"
+    found = re.search(r"HTTP status code: (\d+), error: (.*)", message)
+    if found is not None:
+        message = found[2] if found[1] == "0" else f"it answers with the code {found[1]}"
+    return hide_keys(message.rpartition("GDALWMS: ")[2])
 
 
 def copy_part(
@@ -120,7 +133,7 @@ def copy_part(
             strip = Window(window.col_off, window.row_off + top * scale, window.width, rows * scale)
             shape = {"window": strip, "resampling": Resampling.average}
             target = Window(0, top, width, rows)
-            values = dataset.read(out_shape=(dataset.count, rows, width), **shape)
+            values = _read_again(dataset, out_shape=(dataset.count, rows, width), **shape)
             part.write(values, range(1, dataset.count + 1), window=target)
             if masked:
                 mask = dataset.dataset_mask(out_shape=(rows, width), window=strip)
@@ -130,6 +143,15 @@ def copy_part(
                     f"{name} took over {TOTAL_S:.0f} s for {(top + rows) / height:.0%} of what is "
                     "needed: ask for less, " + name_option("--resolution", "resolution=")
                 )
+
+
+def _read_again(dataset: Any, **part: Any) -> Any:
+    """Read a part, again where requests fail now and then: what came is in GDAL's cache."""
+    for _ in range(RETRIES if _is_service(dataset) else 0):
+        with suppress(RasterioError, CPLE_BaseError):
+            return dataset.read(**part)
+        time.sleep(0.5)
+    return dataset.read(**part)
 
 
 def _is_service(dataset: Any) -> bool:
@@ -204,9 +226,11 @@ def _describe_wms(address: str, name: str, region: Region | None, resolution: fl
 def _find_asset(address: str) -> str:
     """Find the image of a STAC item: what is shown (`visual`), or else its data."""
     name = name_address(address)
+    content = request(address, name)
+    if not content:
+        raise ImageryError(f"{name} has no STAC item at this address")
     try:
-        with urllib.request.urlopen(address, timeout=TIMEOUT_S) as response:
-            item = json.loads(response.read(MAX_ITEM_BYTES))
+        item = json.loads(content)
         assets = [
             (key != "visual", "data" not in asset.get("roles", []), asset["href"])
             for key, asset in item["assets"].items()

@@ -80,7 +80,7 @@ def fetch_tiles(
     wanted = [item for item in zip(numbers, paths, strict=True) if not item[1].exists()]
     with ThreadPoolExecutor(CONNECTIONS) as threads:
         urls = [_make_url(service.address, zoom, *number) for number, _ in wanted]
-        contents = threads.map(partial(_request, service), urls)
+        contents = threads.map(partial(request, name=service.name), urls)
         try:
             end = time.monotonic() + TOTAL_S
             for done, ((_, path), content) in enumerate(zip(wanted, contents, strict=True)):
@@ -106,13 +106,17 @@ def _make_url(address: str, zoom: int, x: int, y: int) -> str:
     return re.sub(r"\{(-?[xyzsq])\}", lambda found: str(values[found[1]]), address)
 
 
-def _request(service: Service, url: str) -> bytes:
-    """Content of a tile; empty where the service has none."""
-    request = urllib.request.Request(url, headers={"User-Agent": "geoaim"})
+def request(url: str, name: str) -> bytes:
+    """Ask for a tile, or another small file; empty where the service has none.
+
+    Raises:
+        ImageryError: it does not answer, also when it is asked again; `name` is in the message.
+    """
+    asked = urllib.request.Request(url, headers={"User-Agent": "geoaim"})
     opener = urllib.request.build_opener(_SameHost)
     for attempt in range(RETRIES + 1):
         try:
-            with opener.open(request, timeout=TIMEOUT_S) as response:
+            with opener.open(asked, timeout=TIMEOUT_S) as response:
                 return _read_in_time(response)
         except (OSError, HTTPException, ImageryError) as error:  # URLError is an OSError
             code = 0
@@ -122,9 +126,7 @@ def _request(service: Service, url: str) -> bytes:
             if code in MISSING_CODES:
                 return b""
             if attempt == RETRIES or isinstance(error, ImageryError):
-                raise ImageryError(
-                    f"{service.name} cannot be read: {hide_keys(str(error))}"
-                ) from error
+                raise ImageryError(f"{name} cannot be read: {hide_keys(str(error))}") from error
         time.sleep(0.2 * 2**attempt)
     raise AssertionError
 
@@ -135,7 +137,7 @@ def _read_in_time(response: Any) -> bytes:
     while part := response.read1(MAX_TILE_BYTES):
         parts.append(part)
         if time.monotonic() > end or sum(map(len, parts)) > MAX_TILE_BYTES:
-            raise TimeoutError(f"a tile takes over {TIMEOUT_S} s or {MAX_TILE_BYTES / 1e6:.0f} MB")
+            raise TimeoutError(f"it takes over {TIMEOUT_S} s or {MAX_TILE_BYTES / 1e6:.0f} MB")
     return b"".join(parts)
 
 

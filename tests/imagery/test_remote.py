@@ -58,7 +58,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
         server = self.server
         server.asked.append(self.path)
         time.sleep(server.delay)
-        if server.failing and len(server.asked) % server.failing == 0:
+        first = server.asked.count(self.path) == 1
+        if server.failing and (first or len(server.asked) % server.failing == 0):
             return self._answer(503, b"busy", "text/plain")
         parts = urlsplit(self.path)
         query = {key.lower(): value[0] for key, value in parse_qs(parts.query).items()}
@@ -186,19 +187,33 @@ def test_an_open_dataset_is_read_in_the_part_that_is_needed(tmp_path, monkeypatc
         assert misplaced(read_imagery(vrt, **AREA), 15.0) < 0.1
 
 
-def test_services_that_fail_now_and_then_are_asked_again(serve):
-    _, address = serve(failing=3)
-    aim = read_imagery(f"{address}/wms?service=WMS&layers=dop&format=image/png", **AREA)
-    assert misplaced(aim, 15.0) < 0.1
+@pytest.mark.parametrize(
+    "form",
+    ["wms?service=WMS&layers=dop&format=image/png", "WMTSCapabilities.xml", "item.json", "a.tif"],
+)
+def test_services_that_fail_each_first_time_are_asked_again(tmp_path, serve, form):
+    item = {"assets": {"data": {"href": "a.tif", "type": "image/tiff"}}}
+    files = {
+        "/item.json": json.dumps(item).encode(),
+        "/WMTSCapabilities.xml": CAPABILITIES.encode(),
+    }
+    path = ortho(tmp_path / "ortho.tif")
+    _, address = serve(files | {"/a.tif": path.read_bytes()}, failing=100)
+    assert misplaced(read_imagery(f"{address}/{form}", **AREA), 15.0) < 0.1
 
 
 def test_what_does_not_answer_as_it_should_is_named_in_one_line(serve, monkeypatch):
     monkeypatch.setattr(remote, "TOTAL_S", 0.0)
     monkeypatch.setattr(remote, "STRIP_PX", 16)
-    _, address = serve({"/page.tif": b"<html>", "/item.json": b"[1]"})
+    _, address = serve(
+        {"/page.tif": b"<html>", "/item.json": b"[1]", "/Capabilities.xml": b"<a></b>"}
+    )
     for source, message in {
-        f"{address}/none.tif": "none.tif cannot be read",
-        f"{address}/page.tif": "page.tif cannot be read",
+        f"{address}/none.tif": "none.tif cannot be read: HTTP response code: 404",
+        f"{address}/page.tif": r"page.tif cannot be read: .* no parts of files .* download it",
+        f"{address}/none.json": "has no STAC item at this address",
+        f"WMTS:{address}/Capabilities.xml": "not answer with the capabilities of a WMTS",
+        f"wms:{address}/none?layers=dop": "cannot be read: it answers with the code 404",
         f"{address}/item.json": "cannot be read as a STAC item",
         f"{address}/wms?service=WMS": "name its layer",
         f"{address}/wms?service=WMS&layers=dop&format=image/png": "took over 0 s for",
@@ -214,3 +229,10 @@ def test_a_remote_file_of_another_place_says_what_it_covers(tmp_path, serve):
     _, address = serve({"/ortho.tif": ortho(tmp_path / "ortho.tif").read_bytes()})
     with pytest.raises(ImageryError, match=r"ortho\.tif covers longitude .* imagery is needed in"):
         read_imagery(f"{address}/ortho.tif", world=WORLD, corners=BOX + 5000, resolution=0.5)
+
+
+def test_a_service_without_tiles_there_is_named(serve):
+    capabilities = CAPABILITIES.replace("/wmts/", "/none/").encode()
+    _, address = serve({"/WMTSCapabilities.xml": capabilities})
+    with pytest.raises(ImageryError, match=r"^127\.0\.0\.1\S*: nothing but .* missing tiles there"):
+        read_imagery(f"{address}/WMTSCapabilities.xml", **AREA)

@@ -1,5 +1,6 @@
 import inspect
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,10 +8,10 @@ import torch
 from typer.testing import CliRunner
 
 import geoaim
-from geoaim.base.errors import TracksError
+from geoaim.base.errors import GeoaimWarning, TracksError
 from geoaim.base.progress import no_progress
 from geoaim.cli import app
-from geoaim.cli.inputs import read_scene_sources, read_scenes
+from geoaim.cli.inputs import lists_recordings, read_scene_sources, read_scenes
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.prediction.checkpoints import read_model, read_pretrained
@@ -156,3 +157,41 @@ def test_commas_at_the_ends_of_rows_shift_no_columns(tmp_path):
     path.write_text("aim,tracks\na.tif,b.csv,\n")
     (source,) = read_scene_sources(path)
     assert (source.aim, source.tracks) == (tmp_path / "a.tif", tmp_path / "b.csv")
+
+
+def test_a_catalogue_gives_its_recordings_with_tracks_and_names_the_others(aim, tmp_path):
+    pytest.importorskip("distributed", reason="pip install '.[catalog]'")
+    from geoaim.catalog.building import make_record
+    from geoaim.catalog.recordings import Recording
+    from geoaim.catalog.records import OutputFile, get_folder, write_record
+
+    for name, status in (("monday", "built"), ("night", "refused"), ("tuesday", "built")):
+        folder = Path(get_folder(str(tmp_path), name))
+        record = make_record(Recording(name, "a.mp4"), status, "")
+        if status == "built":
+            folder.mkdir(parents=True)
+            (folder / "aim.tif").symlink_to(aim)
+            write_tracks(geoaim.read_tracks("samples/tracks.csv"), folder / "tracks.parquet")
+            record = replace(record, files={"tracks.parquet": OutputFile(1, "")})
+        write_record(record, str(folder))
+    with pytest.warns(GeoaimWarning, match="left out: night"):
+        sources = read_scene_sources(tmp_path)
+    assert [source.aim.parent.name for source in sources] == ["monday", "tuesday"]
+    assert lists_recordings(tmp_path)
+    assert not lists_recordings(aim)
+    assert len(read_scenes(sources, 2.5, no_progress)) == 2
+    few = "# crs: EPSG:32635\nid,type,time,x,y,heading,speed,length,width\n" + "".join(
+        f"7,car,{time},{4 * time},0,0,4,4.5,1.8\n" for time in (0, 4, 8)
+    )
+    (tmp_path / "few.csv").write_text(few)
+    sources[0] = replace(sources[0], tracks=tmp_path / "few.csv")
+    with pytest.raises(TracksError, match=r"few\.csv"):
+        read_scenes(sources, 2.5, no_progress)
+    with pytest.warns(GeoaimWarning, match=r"recording is left out: .*few\.csv.* 4 s apart"):
+        assert len(read_scenes(sources, 2.5, no_progress, skip=True)) == 1
+    with pytest.raises(TracksError, match=r"few\.csv"):
+        read_scenes(sources[:1], 2.5, no_progress, skip=True)
+    empty = tmp_path / "empty"
+    write_record(make_record(Recording("a", "a.mp4"), "refused", ""), get_folder(str(empty), "a"))
+    with pytest.raises(TracksError, match="has tracks: give its table a column tracks"):
+        read_scene_sources(empty)
