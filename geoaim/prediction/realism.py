@@ -10,12 +10,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from geoaim.prediction.futures import Futures
 from geoaim.prediction.likelihood import CONFIG_2024, Estimator, estimate_log_likelihood
 from geoaim.prediction.metrics import Metric, check_futures, select_agents_to_judge
 from geoaim.prediction.realism_features import compute_features
 from geoaim.prediction.segments import Segments, mark_steps_until_leaving, pick
-from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, move_rules, move_rules_to_any
+from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, move_rules_to_any
 
 MIN_HISTORY_STEPS = 2  # steps before the first simulated one, whose acceleration needs them
 
@@ -71,53 +70,6 @@ def compute_realism(
             scores.setdefault(name, []).append(score)
     metrics = {name: torch.stack(values).double().cpu().numpy() for name, values in scores.items()}
     return {name: Metric(values, 0 * values + 1) for name, values in metrics.items()}
-
-
-def compute_realism_of_futures(
-    futures: Futures,
-    rules: RoadRules = NO_ROAD_RULES,
-    config: Mapping[str, Estimator] = CONFIG_2024,
-) -> dict[str, float]:
-    """Compute the realism of the result of `predict`, given what was recorded after its start.
-
-    Agents that are not predicted replay the recording.
-
-    Args:
-        futures: futures within the recording.
-        rules: as in `compute_realism`.
-        config: as in `compute_realism`.
-
-    Returns:
-        The values of `compute_realism`. Agents that the scene does not have at a step are not
-        judged at that step.
-
-    Raises:
-        ValueError: the scene ends before the futures do, or has too short a history.
-    """
-    scene, steps = futures.scene, futures.states.shape[2]
-    end = futures.start + 1 + steps
-    if end > len(scene.times):
-        raise ValueError(
-            f"the futures end {end - len(scene.times)} steps after the scene; predict from an "
-            "earlier start, to compare them with the recording"
-        )
-    recorded, controlled = scene.states[:, :end], futures.mark_predicted()
-    sampled = recorded.repeat(len(futures.states), 1, 1, 1)
-    sampled[:, controlled, futures.start + 1 :] = futures.states[:, controlled]
-    segment = Segments(
-        states=recorded[None],
-        present=scene.present[None, :, :end],
-        sizes=scene.sizes[None],
-        layers=torch.zeros(1, len(scene.ids), dtype=torch.long),
-        controlled=controlled[None],
-        places=torch.zeros(1, dtype=torch.long),
-        stop_lines=scene.stop_lines[None],
-        light_states=scene.light_states[None, :end],
-        dt=futures.dt,
-    )
-    rules = move_rules(rules, scene.world)
-    metrics = compute_realism(sampled[None], segment, futures.start + 1, rules, config)
-    return {name: metric.mean for name, metric in metrics.items()}
 
 
 def summarise_groups(

@@ -7,15 +7,13 @@ import pytest
 import torch
 from shapely import MultiPoint, MultiPolygon, Point, affinity, box
 
-from geoaim.prediction.futures import Futures
 from geoaim.prediction.likelihood import CONFIG_2024, Estimator, estimate_log_likelihood
-from geoaim.prediction.realism import compute_realism, compute_realism_of_futures
+from geoaim.prediction.realism import compute_realism
 from geoaim.prediction.realism_features import compute_features, compute_kinematics
 from geoaim.prediction.segments import Segments
-from geoaim.rendering.scene import Scene
 from geoaim.simulation.overlap import compute_box_distance
 from geoaim.simulation.road_rules import RoadRules, make_drivable
-from tests.prediction.tiny import drive, hill
+from tests.prediction.tiny import drive
 
 HISTORY, STEPS, SAMPLES = 11, 91, 4
 ROAD = RoadRules(make_drivable(MultiPolygon([box(-25, -25, 25, 25)]), resolution=0.05))
@@ -211,32 +209,6 @@ def test_absent_states_are_not_judged():
     found, whole = score(futures, gone, ROAD), score(futures, segment, ROAD)
     assert all(np.isfinite(list(found.values())))
     assert found["linear speed"] != whole["linear speed"]
-
-
-def test_futures_of_a_scene_are_compared_with_its_recording():
-    poses = torch.tensor(make_rollout(0)).float()
-    scene = Scene(
-        ground=hill(),
-        times=torch.arange(STEPS) / 10,
-        poses=poses,
-        speeds=torch.full(poses.shape[:2], 5.0),
-        present=torch.ones(poses.shape[:2], dtype=torch.bool),
-        sizes=torch.tensor(AGENTS[:, 6:]).float(),
-        types=("car",) * len(AGENTS),
-        ids=tuple(map(str, range(len(AGENTS)))),
-        stop_lines=torch.zeros(0, 2, 2),
-        light_states=torch.zeros(STEPS, 0, dtype=torch.long),
-        observed=torch.nn.functional.pad(poses, (0, 1), value=5.0),
-    )
-    rollouts = torch.tensor(np.stack([make_rollout(sample) for sample in range(SAMPLES)])).float()
-    states = torch.nn.functional.pad(rollouts[:, :, HISTORY:], (0, 1))
-    states[:, -1] = states[0, -1]  # the agent that is not evaluated replays
-    found = compute_realism_of_futures(Futures(states, scene, HISTORY - 1, scene.dt), ROAD)
-    official = {name: OFFICIAL[name] for name in ("linear speed", "angular speed", "off-road")}
-    assert {name: found[name] for name in official} == pytest.approx(official, abs=1e-4)
-    late = Futures(states, scene, HISTORY + 4, scene.dt)
-    with pytest.raises(ValueError, match="the futures end 5 steps after the scene"):
-        compute_realism_of_futures(late)
 
 
 def test_short_histories_and_infinite_states_are_refused():

@@ -14,9 +14,8 @@ from geoaim.base.errors import GeoreferenceError, MapError
 from geoaim.base.world import World
 from geoaim.prediction import EvalConfig, cut_segments, evaluate
 from geoaim.prediction.baselines import replay
-from geoaim.prediction.futures import Futures
 from geoaim.prediction.metrics import compute_metrics
-from geoaim.prediction.realism import compute_realism, compute_realism_of_futures
+from geoaim.prediction.realism import compute_realism
 from geoaim.prediction.segments import concat
 from geoaim.rendering.scene import make_scene, make_tracks
 from geoaim.simulation.episodes import simulate_scene
@@ -94,9 +93,6 @@ USES = {
     ),
     "compute_realism": lambda scene, rules: means(
         compute_realism(segments_of(scene).states[:, None], segments_of(scene), 5, rules)
-    ),
-    "compute_realism_of_futures": lambda scene, rules: compute_realism_of_futures(
-        make_futures(scene), rules
     ),
 }
 
