@@ -1,12 +1,19 @@
 """The benchmarks of catalogues on tiny input."""
 
+from dataclasses import replace
+
+import cv2
+import numpy as np
 import pytest
 
 pytest.importorskip("distributed", reason="the extra catalog is not installed")
 
 from benchmarks.catalog import benchmark as catalog
+from benchmarks.catalog import days, unit_costs
 from benchmarks.catalog import losses as catalog_losses
-from benchmarks.catalog import unit_costs
+from geoaim.aim.aim import AIM
+from geoaim.base.geometry import translation
+from geoaim.base.world import World
 
 pytestmark = pytest.mark.slow
 
@@ -49,3 +56,14 @@ def test_plans_multiply_the_costs():
     day = unit_costs.plan_recordings(costs, assumed)[0]
     assert day["core hours"] == pytest.approx(24.0, abs=0.1)
     assert day["binds first"] == "cores"
+
+
+def test_days_are_measured_apart(tmp_path):
+    generator = np.random.default_rng(0)
+    ground = cv2.GaussianBlur(generator.integers(0, 256, (400, 600, 3), np.uint8), (0, 0), 2)
+    ground = cv2.normalize(ground, None, 0, 255, cv2.NORM_MINMAX)
+    first = AIM.from_image(ground, np.diag([0.1, -0.1, 1.0]), World(None), "ground")
+    moved = replace(first, world_from_image=translation(0.3, 0.1) @ first.world_from_image)
+    apart = days.measure_apart(moved, first)
+    assert len(apart) > 20
+    np.testing.assert_allclose(np.abs(np.median(apart, axis=0)), [0.3, 0.1], atol=0.01)
