@@ -6,6 +6,7 @@ aim = read_imagery(["ortho.tif", service], world=aim.world, corners=aim.corners)
 """
 
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -143,7 +144,11 @@ def read_mosaic(
         region = None if corners is None or world is None else make_region(world, corners)
         wanted = options.get("resolution")
         listed = fetch_parts(list_sources(sources), Path(folder), region, wanted)
-        return _read_files(listed, world, region, options)
+        try:
+            return _read_files(listed, world, region, options)
+        except ImageryError as error:  # what was fetched is called by its own name
+            fetched = rf"{re.escape(folder)}[/\\]\d+[/\\]"
+            raise ImageryError(re.sub(fetched, "", str(error))) from error
 
 
 def _read_files(
@@ -366,7 +371,7 @@ def _check_coverage(sources: Sequence[_Source], covered: Bool[Array, "H W"]) -> 
     for error in (error for source in sources for error in source.unreadable.values()):
         warn(f"file skipped, its area stays empty: {error}")
     if not covered.any():
-        names = ", ".join(Path(source.layer.name).name for source in sources)
+        names = ", ".join(source.layer.name for source in sources)
         raise ImageryError(
             f"{names}: nothing but nodata, transparency or missing tiles there; choose another "
             "place, or for tiles another zoom"
