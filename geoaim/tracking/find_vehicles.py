@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, UInt8
+from jaxtyping import Float, Float32, Int, UInt8
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
@@ -33,11 +33,6 @@ LOWEST = -2.0  # log odds; of vehicles of validation videos 98 % (Songdo) and 93
 STILL, MOVED, USUAL = 1.0, 3.0, 2.0
 EVEN = 110.0  # grey level on which the network is shown what differs; 70 and 160 do as well
 MAX_SHARED = 0.1  # of a box that lies in a better one; more is its shadow or a piece of it
-# share of the map's brightness under which a box that touches a lighter one is its shadow: drawn
-# shadows on a real junction have 0.48, those of a real video 0.41 (quartiles 0.32 and 0.54), and
-# less than a tenth of dark cars where no sun shines. Precision on validation 0.80 to 0.88 and 0.66
-# to 0.82 with long shadows, the same without any
-SHADE = 0.6
 MIN_PROBABILITY = 0.3  # of a box that may belong to a track
 MIN_CERTAINTY = 0.5  # mean probability of a track; 0 counts for the frames without its box
 MAX_POSE_SIGMA_M = 0.45  # a quarter of a car's width; rims of what stands then differ as cars do
@@ -98,8 +93,7 @@ def search_frames(
             peaks = join_peaks([seen, find_peaks(change, LOWEST)])
             inside = _sample_inside(peaks)
             odds = _weigh(peaks, inside, excess, len(seen.logits))
-            light = _measure_light(image, change, inside)
-            found[frame.index] = _choose(peaks, inside, odds, light, shrink)
+            found[frame.index] = _choose(peaks, inside, odds, shrink)
             progress("find vehicles", len(found), len(chosen))
     return [found.get(index) for index in matrices]
 
@@ -180,27 +174,12 @@ def _sample_inside(peaks: Peaks) -> Float[Array, "N n 2"]:
     return peaks.centres[:, None] + WITHIN[:, :1] * along + WITHIN[:, 1:] * across
 
 
-def _measure_light(
-    frame: UInt8[Array, "H W 3"], change: UInt8[Array, "H W 3"], inside: Float[Array, "N n 2"]
-) -> Float[Array, " N"]:
-    """Measure how bright a frame is inside of boxes, over the map."""
-    last = np.array(frame.shape[1::-1]) - 1
-    columns, rows = np.moveaxis(inside.clip(0, last).astype(int), 2, 0)
-    level, differs = (part[rows, columns].mean(axis=2) for part in (frame, change))
-    return np.asarray(np.median(level / np.maximum(level - (differs - EVEN), 1.0), axis=1))
-
-
 def _choose(
-    peaks: Peaks,
-    inside: Float[Array, "N n 2"],
-    odds: Float[Array, " N"],
-    light: Float[Array, " N"],
-    shrink: Float[Array, "2"],
+    peaks: Peaks, inside: Float[Array, "N n 2"], odds: Float[Array, " N"], shrink: Float[Array, "2"]
 ) -> DetectedBoxes:
     """Choose the probable peaks, the best of each place, as boxes in pixels of the frame."""
     corners = peaks.get_corners()
     likely = np.flatnonzero(odds > np.log(MIN_PROBABILITY / (1 - MIN_PROBABILITY)))
-    likely = likely[~_are_shadows(peaks.pick(likely), light[likely])]
     kept = likely[_find_single(corners[likely], inside[likely], odds[likely])]
     is_long = peaks.lengths[kept] * RESOLUTION > MAX_CAR_LENGTH_M
     bounds = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
@@ -210,19 +189,6 @@ def _choose(
         1 / (1 + np.exp(-odds[kept])),
         tuple(np.where(is_long, "truck", "car").tolist()),
     )
-
-
-def _are_shadows(peaks: Peaks, light: Float[Array, " N"]) -> Bool[Array, " N"]:
-    """Say which boxes are dark and touch a lighter one, as no vehicle drives."""
-    offsets = peaks.centres - peaks.centres[:, None]
-    ahead = np.stack([np.cos(peaks.headings), np.sin(peaks.headings)], axis=1)[:, None]
-    aside = ahead[..., ::-1] * [-1, 1]
-    apart = np.abs(np.stack([(offsets * axis).sum(axis=2) for axis in (ahead, aside)], axis=2))
-    half = np.stack([peaks.lengths, peaks.widths], axis=1) / 2
-    reach = half[:, None] + half + 3 * MIDDLE_SIGMA_M / RESOLUTION
-    touches = (apart < reach).all(axis=2) & (apart > half[:, None]).any(axis=2)
-    is_lighter = light[:, None] > light
-    return np.asarray((touches & is_lighter).any(axis=0) & (light < SHADE))
 
 
 def _find_single(

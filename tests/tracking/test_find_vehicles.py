@@ -20,7 +20,6 @@ from geoaim.mapping.video.video import open_video
 from geoaim.tracking.association import Tracklets
 from geoaim.tracking.find_vehicles import (
     _choose,
-    _measure_light,
     _sample_inside,
     _weigh,
     keep_certain,
@@ -93,7 +92,7 @@ def test_frames_that_are_registered_badly_are_not_compared(aim, video, poses):
         search_frames(video, aim, replace(poses, registration=doubtful))
 
 
-def weigh(logits, excess, lengths=(16.0, 16.0), second=(60.0, 20.0), in_frame=2, light=(1, 1)):
+def weigh(logits, excess, lengths=(16.0, 16.0), second=(60.0, 20.0), in_frame=2):
     """Weigh two boxes of 16 x 7 pixels; in the second the frame differs from the map so much."""
     centres = np.array([[20.0, 20.0], second])
     picture = np.ones((40, 80), np.float32)
@@ -102,7 +101,7 @@ def weigh(logits, excess, lengths=(16.0, 16.0), second=(60.0, 20.0), in_frame=2,
     peaks = Peaks(centres, np.zeros(2), np.array(lengths), widths, np.array(logits))
     inside = _sample_inside(peaks)
     odds = _weigh(peaks, inside, picture, in_frame)
-    return _choose(peaks, inside, odds, np.array(light, float), np.array([0.5, 0.5]))
+    return _choose(peaks, inside, odds, np.array([0.5, 0.5]))
 
 
 def test_what_differs_from_the_map_is_more_probably_a_vehicle():
@@ -137,36 +136,6 @@ def test_vehicles_almost_as_the_ground_are_found_by_the_difference(aim, video, p
 def test_a_shadow_beside_a_vehicle_is_no_second_one():
     assert len(weigh([2.0, 1.0], 1.0, second=(22.0, 25.0)).boxes) == 1
     assert len(weigh([2.0, 1.0], 1.0, second=(20.0, 28.0)).boxes) == 2  # the next lane
-
-
-@pytest.mark.parametrize(
-    ("second", "light", "number"),
-    [
-        ((20.0, 28.0), (1.5, 0.45), 1),
-        ((24.0, 11.0), (0.9, 0.3), 1),
-        ((20.0, 28.0), (0.45, 1.5), 1),  # the first is the shadow, however sure the network is
-        ((20.0, 28.0), (1.5, 0.8), 2),  # not as dark as shadows are
-        ((20.0, 32.0), (1.5, 0.45), 2),  # a dark car in the next lane
-        ((36.0, 20.0), (1.5, 0.45), 1),  # a shadow may lie behind as well
-        ((40.0, 20.0), (1.5, 0.45), 2),  # a dark car behind, in a queue
-        ((20.0, 28.0), (0.4, 0.4), 2),  # both in the shadow of a house
-    ],
-)
-def test_what_is_dark_and_touches_a_lighter_box_is_its_shadow(second, light, number):
-    found = weigh([2.0, 1.0], 1.0, second=second, light=light)
-    assert len(found.boxes) == number
-    if number == 1:
-        kept = (20.0, 20.0) if light[0] > light[1] else second
-        np.testing.assert_allclose(found.get_corners().mean(axis=1)[0], 2 * np.array(kept))
-
-
-def test_light_is_measured_over_that_of_the_map():
-    frame = np.full((40, 80, 3), 60, np.uint8)
-    change = np.full((40, 80, 3), 110, np.uint8)
-    change[:, 40:] = 50  # the map is at 120 there
-    peaks = Peaks(np.array([[20.0, 20], [60, 20]]), *np.full((4, 2), 7.0))
-    light = _measure_light(frame, change, _sample_inside(peaks))
-    np.testing.assert_allclose(light, [1.0, 0.5])
 
 
 def test_what_is_found_is_a_car_or_longer_than_one():
