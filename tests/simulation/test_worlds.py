@@ -14,6 +14,7 @@ from geoaim.base.errors import GeoreferenceError, MapError
 from geoaim.base.world import World
 from geoaim.prediction import EvalConfig, cut_segments, evaluate
 from geoaim.prediction.baselines import replay
+from geoaim.prediction.futures import Futures
 from geoaim.prediction.metrics import compute_metrics
 from geoaim.prediction.realism import compute_realism
 from geoaim.prediction.segments import concat
