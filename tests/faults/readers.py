@@ -147,7 +147,6 @@ READERS = {
     "detections: MOT": _detections("mot.txt"),
     "detections: COCO": _detections("coco.json", JSON),
     "detections: COCO results": _detections("results.json", JSON),
-    "detections: supervision": _detections("records.json", JSON),
     "futures": Reader("futures.csv", TEXT, lambda f: describe_futures_file(f / "futures.csv")),
     "catalogue": Reader("catalog.csv", TEXT, lambda f: read_recordings(f / "catalog.csv")),
     "video: MP4": Reader("video.mp4", BINARY, _read_video("video.mp4")),
