@@ -21,7 +21,7 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.video import open_video
 from geoaim.prediction.checkpoints import read_model
-from geoaim.tracks.formats import read_scenarionet_lights, read_tracks
+from geoaim.tracks.formats import read_tracks
 from geoaim.tracks.lights import StopLine, read_lights, read_stop_lines
 from geoaim.web.moving_layers import describe_futures_file
 from tests.faults import mutations as by
@@ -116,9 +116,6 @@ READERS = {
     "tracks: Argoverse 2": _tracks("argoverse.parquet", (*BINARY, by.mutate_parquet)),
     "tracks: GeoPackage": _tracks("tracks.gpkg", (*BINARY, by.mutate_geopackage)),
     "tracks: ScenarioNet": _tracks("scenario.pkl", PICKLE),
-    "lights: ScenarioNet": Reader(
-        "scenario.pkl", PICKLE, lambda f: read_scenarionet_lights(f / "scenario.pkl")
-    ),
     "lights: plain": Reader(
         "lights.csv", TEXT, lambda f: read_lights(f / "lights.csv", _read_lines(f), WORLD)
     ),
