@@ -8,6 +8,7 @@ aim = read_imagery(["ortho.tif", service], world=aim.world, corners=aim.corners)
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -139,14 +140,21 @@ def read_mosaic(
     **options: Unpack[ReadOptions],
 ) -> Mosaic:
     """Read imagery, and tell which part each pixel comes from."""
+    _check_region(world, corners)
+    region = None if corners is None or world is None else make_region(world, corners)
+    with _fetch(list_sources(sources), region, options.get("resolution")) as listed:
+        return _read_files(listed, world, region, options)
+
+
+@contextmanager
+def _fetch(
+    listed: Iterable[Any], region: Region | None, resolution: float | None
+) -> Iterator[list[Source]]:
+    """Fetch what lies elsewhere into a folder of its own; errors call it by its own name."""
     with TemporaryDirectory(prefix="geoaim-") as folder:
-        _check_region(world, corners)
-        region = None if corners is None or world is None else make_region(world, corners)
-        wanted = options.get("resolution")
-        listed = fetch_parts(list_sources(sources), Path(folder), region, wanted)
         try:
-            return _read_files(listed, world, region, options)
-        except ImageryError as error:  # what was fetched is called by its own name
+            yield fetch_parts(listed, Path(folder), region, resolution)
+        except ImageryError as error:
             fetched = rf"{re.escape(folder)}[/\\]\d+[/\\]"
             raise ImageryError(re.sub(fetched, "", str(error))) from error
 
@@ -201,8 +209,7 @@ def read_lonlat(
                 outlines.append(outline_dataset(dataset))
         else:
             listed.append(source)
-    with TemporaryDirectory(prefix="geoaim-") as folder:
-        files = fetch_parts(listed, Path(folder), None, None)
+    with _fetch(listed, None, None) as files:
         layers = [describe_source(source, None, crs=crs) for source in files]
     outlines += [outline for layer in layers for outline in layer.outlines]
     return np.concatenate([transform_crs(own, LONLAT, points) for own, points in outlines])
