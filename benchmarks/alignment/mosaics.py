@@ -137,12 +137,13 @@ def measure_mosaics(cases: int, seed: int) -> Iterator[dict[str, Any]]:
         if by_tracks and ground.tracks is not None:
             evidence = TracksEvidence(ground.tracks, PRIOR)
         row = {"ground": ground.name, "layout": name, "by": evidence.name, "one file": one_file}
-        yield row | _judge_mosaic(mosaic, evidence, labels, shifts)
+        yield row | judge_mosaic(mosaic, evidence, labels, shifts)
 
 
-def _judge_mosaic(
+def judge_mosaic(
     mosaic: Mosaic, evidence: Evidence, labels: UInt16[Array, "H W"], shifts: Float[Array, "n 2"]
 ) -> dict[str, Any]:
+    """Align a mosaic; errors of its true parts (m), and the shares inside their regions."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
