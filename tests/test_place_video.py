@@ -23,7 +23,7 @@ from geoaim.cli import app
 from geoaim.cli.inputs import find_video
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.pipeline import FollowedVideo
-from geoaim.tracking.scale import check_scale
+from geoaim.tracking.scale import check_scale, find_askew
 from geoaim.tracking.verdicts import judge_map, judge_scale, judge_tracks
 from tests.geojson_files import write_features
 
@@ -132,6 +132,20 @@ def test_what_cannot_be_used_is_said(junction):
     assert judge_map(result.aim, ("contested",)).grade == "doubtful"
     small = replace(result.tracks, sizes=result.tracks.sizes / 8)
     assert judge_scale(result.aim, small).grade == "unusable"
+
+
+def test_people_who_are_taken_for_cars_tell_no_scale(junction):
+    result = junction[1]
+    assert find_askew(result.tracks) == ""
+    across = replace(result.tracks, sizes=result.tracks.sizes[:, ::-1])  # as shoulders lie
+    askew = replace(result.tracks, sizes=result.tracks.sizes * [4, 0.2])  # as fitted to any turn
+    times = SimpleNamespace(times=np.arange(9.0) / 9)
+    for people in (across, askew):
+        with pytest.warns(GeoaimWarning, match="move lie across their paths or askew"):
+            check_scale(people, result.aim)
+        followed = FollowedVideo(people, times, 0.0, 0.95)
+        judged = pipeline._judge(replace(result, tracks=people), followed, ((), ()))
+        assert judged.verdicts["scale"].grade == judged.verdicts["tracks"].grade == "unusable"
 
 
 def test_pictures_a_second_apart_are_followed_as_they_are_and_judged(video, tmp_path):
