@@ -7,9 +7,9 @@ from jaxtyping import Int
 from numpy import ndarray as Array
 
 from geoaim.base.errors import TracksError, warn
+from geoaim.mapping.box_evidence import MIN_BOXES
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.tracking.ground_detections import GroundDetections
-from geoaim.tracking.noise import MIN_BOXES
 from geoaim.tracks.agent_types import TYPICAL_SIZES
 from geoaim.tracks.formats.plausibility import check_plausibility
 from geoaim.tracks.tracks import Tracks
