@@ -141,7 +141,7 @@ def test_people_who_are_taken_for_cars_tell_no_scale(junction):
     askew = replace(result.tracks, sizes=result.tracks.sizes * [4, 0.2])  # as fitted to any turn
     times = SimpleNamespace(times=np.arange(9.0) / 9)
     for people in (across, askew):
-        with pytest.warns(GeoaimWarning, match="move lie across their paths or askew"):
+        with pytest.warns(GeoaimWarning, match="across their paths .* people look like cars"):
             check_scale(people, result.aim)
         followed = FollowedVideo(people, times, 0.0, 0.95)
         judged = pipeline._judge(replace(result, tracks=people), followed, ((), ()))

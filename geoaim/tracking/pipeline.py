@@ -24,7 +24,7 @@ from geoaim.tracking.find_vehicles import keep_certain, measure_certainty, searc
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_detections import GroundDetections, place_boxes, select_detections
 from geoaim.tracking.roofs import correct_roofs
-from geoaim.tracking.scale import check_scale
+from geoaim.tracking.scale import check_scale, find_askew
 from geoaim.tracking.standing import Directions
 from geoaim.tracking.states import make_states
 from geoaim.tracks.changes import select_agents
@@ -123,6 +123,11 @@ def follow_video(
     if detections is None:
         check_scale(tracks, aim)
         return FollowedVideo(tracks, poses, 0.0, float(measure_certainty(*followed).mean()))
+    if text := find_askew(tracks):
+        warn(
+            f"{text}: are some of them people (--classes), or are the boxes turned? Four corners "
+            "turn them; an angle is not read, and one from 0 to 1 may be taken for a score"
+        )
     count = sum(len(boxes.boxes) for boxes in known if boxes is not None)
     return FollowedVideo(tracks, poses, 1 - len(followed[0].step) / max(count, 1))
 

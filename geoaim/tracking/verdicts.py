@@ -11,7 +11,7 @@ from geoaim.tracking.association import MAX_GAP_S
 from geoaim.tracking.find_vehicles import MAX_POSE_SIGMA_M
 from geoaim.tracking.noise import SLOW_DT
 from geoaim.tracking.pipeline import MAX_UNUSED
-from geoaim.tracking.scale import find_askew, measure_scale_error
+from geoaim.tracking.scale import PEOPLE, find_askew, measure_scale_error
 from geoaim.tracks.tracks import Tracks
 
 # share of tracks that the network expects to be right: 0.90 to 0.97 on videos of four places with
@@ -71,7 +71,7 @@ def judge_scale(aim: AIM, tracks: Tracks | None) -> Verdict:
     georeference = aim.report.get("georeference", {})
     if by_vehicles := georeference.get("scale_by_vehicles"):
         if tracks is not None and (text := find_askew(tracks)):
-            return Verdict("unusable", (text,))
+            return Verdict("unusable", (f"{text}: {PEOPLE}",))
         number, sigma = by_vehicles["vehicles"], by_vehicles["sigma"]
         return Verdict("doubtful", (f"it is that of {number} vehicles, to {sigma:.0%} (1 sigma)",))
     if georeference.get("given_scale"):
