@@ -7,19 +7,13 @@ from scipy import ndimage
 
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import warn
-from geoaim.tracks.agent_types import TYPICAL_SIZES, select_group
+from geoaim.tracking.box_checks import MIN_AGENTS, find_askew
+from geoaim.tracks.agent_types import TYPICAL_SIZES
 from geoaim.tracks.tracks import Tracks
 
 WINDOW = 0.12  # standard deviation of the logarithms of sizes of cars
 MIN_FACTOR = 2.0  # by which vehicles are smaller or larger than cars where the scale is doubted
 CAR_M = float(np.sqrt(np.prod(TYPICAL_SIZES["car"])))  # square root of its area
-MIN_AGENTS = 3  # whose sizes tell a wrong scale, and that are askew
-# length over width of what can be a vehicle: an articulated bus has 7.2
-MAX_SLENDER = 8.0
-# share of vehicles that move that lie across their paths or askew: 0 to 0.03 of eight videos of
-# vehicles without boxes, three of them real, and of 33 cases with hard boxes; 0.79 to 1 of four of
-# people who had been taken for cars, 0.18 to 0.33 of four of turned boxes read as upright ones
-MAX_ASKEW = 0.1
 PEOPLE = "people look like cars at another scale (--frame-resolution)"
 
 
@@ -60,23 +54,3 @@ def measure_scale_error(tracks: Tracks, aim: AIM) -> float | None:
         return None
     factor = CAR_M / _find_most(np.sqrt(tracks.sizes.prod(axis=1)))
     return None if 1 / MIN_FACTOR < factor < MIN_FACTOR else factor
-
-
-def find_askew(tracks: Tracks) -> str:
-    """Find whether many vehicles that move can be none: they lie across their paths, or askew.
-
-    Vehicles move along their longer side. Sizes are fitted to boxes by the direction of motion, so
-    that what moves across is wider than long, and what moves askew has no width. So do people who
-    are taken for cars, as which they look at some scale, where they walk as fast as cars drive
-    (1.3 m/s becomes 7 m/s), and boxes that are turned and were taken for upright ones. Says how
-    many; "" where all but a few can be vehicles.
-    """
-    places, stop = tracks.get_rows("states")[:, :2], np.cumsum(tracks.present.sum(axis=1))
-    way = places[stop - 1] - places[np.concatenate([[0], stop[:-1]])]
-    moved = np.hypot(*way.T) > tracks.sizes.max(axis=1)
-    moved &= select_group(tracks.types, "vehicle")
-    slender = tracks.sizes[moved, 0] / tracks.sizes[moved, 1]
-    odd, count = int(((slender < 1) | (slender > MAX_SLENDER)).sum()), int(moved.sum())
-    if odd < MIN_AGENTS or odd <= MAX_ASKEW * count:
-        return ""
-    return f"{odd} of {count} vehicles that move lie across their paths or askew, as none does"

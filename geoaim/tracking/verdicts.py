@@ -8,10 +8,11 @@ import numpy as np
 
 from geoaim.aim.aim import AIM
 from geoaim.tracking.association import MAX_GAP_S
+from geoaim.tracking.box_checks import find_askew
 from geoaim.tracking.find_vehicles import MAX_POSE_SIGMA_M
 from geoaim.tracking.noise import SLOW_DT
 from geoaim.tracking.pipeline import MAX_UNUSED
-from geoaim.tracking.scale import PEOPLE, find_askew, measure_scale_error
+from geoaim.tracking.scale import PEOPLE, measure_scale_error
 from geoaim.tracks.tracks import Tracks
 
 # share of tracks that the network expects to be right: 0.90 to 0.97 on videos of four places with
