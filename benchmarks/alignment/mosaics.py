@@ -126,12 +126,13 @@ def measure_mosaics(cases: int, seed: int) -> Iterator[dict[str, Any]]:
         mosaic = Mosaic(picture, None if one_file else labels, names)
         evidence = AimEvidence(ground.aim, PRIOR)
         row = {"ground": ground.name, "layout": name, "one file": one_file}
-        yield row | _judge_mosaic(mosaic, evidence, labels, shifts)
+        yield row | judge_mosaic(mosaic, evidence, labels, shifts)
 
 
-def _judge_mosaic(
+def judge_mosaic(
     mosaic: Mosaic, evidence: AimEvidence, labels: UInt16[Array, "H W"], shifts: Float[Array, "n 2"]
 ) -> dict[str, Any]:
+    """Align a mosaic; errors of its true parts (m), and the shares inside their regions."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -192,7 +192,6 @@ def _open_doubt(dataset: Any, path: str | os.PathLike[str]) -> Iterator[Any]:
 def _make_profile(aim: AIM, dtype: str, count: int) -> dict[str, Any]:
     """The profile of rasterio of a cloud-optimised, lossless GeoTIFF."""
     height, width = aim.coverage.shape
-    crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
     return {
         "driver": "COG",
         "height": height,
@@ -200,7 +199,7 @@ def _make_profile(aim: AIM, dtype: str, count: int) -> dict[str, Any]:
         "dtype": dtype,
         "count": count,
         "crs": aim.world.crs,
-        "transform": rasterio.Affine(*crs_from_image[:2].flat),
+        "transform": rasterio.Affine(*aim.grid.crs_from_grid[:2].flat),
         "compress": "deflate",
         "level": 1,  # half the time of GDAL's 6, and files of a video's map are 6 % larger
         "predictor": "yes",

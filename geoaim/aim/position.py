@@ -15,7 +15,7 @@ from numpy import ndarray as Array
 from scipy.special import chdtri
 
 from geoaim.base.errors import AimError
-from geoaim.base.geometry import image_corners, transform_points, translation
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.grid import Grid
 from geoaim.base.world import World, parse_crs
 
@@ -130,9 +130,8 @@ def _to_list(covariance: Float[Array, "2 2"] | None) -> list[list[float]] | None
 def _describe_place(grid: Grid) -> dict[str, Any]:
     """The size of a grid, and its transform from pixels to coordinates of its CRS."""
     world = grid.world or World(None)
-    crs_from_image = translation(*world.origin) @ grid.world_from_grid
     size = {"height": grid.height, "width": grid.width}
-    return {"crs": world.crs, "crs_from_image": crs_from_image.tolist(), **size}
+    return {"crs": world.crs, "crs_from_image": grid.crs_from_grid.tolist(), **size}
 
 
 def _check_place(place: Any) -> None:
