@@ -75,7 +75,6 @@ def _select(boxes: DetectedBoxes, kept: Int[Array, " n"]) -> DetectedBoxes:
         None if boxes.corners is None else boxes.corners[kept],
         None if boxes.scores is None else boxes.scores[kept],
         tuple(boxes.types[row] for row in kept) if boxes.types else (),
-        tuple(boxes.ids[row] for row in kept) if boxes.ids else (),
         None if boxes.at_border is None else boxes.at_border[kept],
     )
 
