@@ -6,6 +6,7 @@ A table has the resolution of each image (columns scene, metres_per_pixel).
 Models of windows follow trajectory proposals; the settings here are those of the Stanford table.
 """
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from PIL import Image
 from torch import Tensor
 
 from geoaim.base.errors import TracksError
-from geoaim.base.limits import check_memory, refuse_damaged
+from geoaim.base.limits import MAX_POSITION_M, check_memory, refuse_damaged
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.baselines import Predictor
 from geoaim.prediction.config import Config, TrainConfig
@@ -30,9 +31,10 @@ from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric
 from geoaim.prediction.segments import PEDESTRIAN, Segments, concat
 from geoaim.rendering.ground import GREY, Ground, View, make_ground
-from geoaim.tracks.formats.stanford import WINDOW_STEPS as WINDOW_STEPS
-from geoaim.tracks.formats.stanford import read_resolutions, read_trajnet_windows
+from geoaim.tracks.files import read_table
+from geoaim.tracks.formats.shared import check_columns
 
+WINDOW_STEPS = 20  # of a window of TrajNet
 HISTORY_STEPS = 8
 DT_S = 0.4
 PEDESTRIAN_SIZE_M = 0.5
@@ -132,6 +134,43 @@ def read_windows(
     counts = torch.tensor([len(path) for path in paths])
     segments = replace(segments, places=torch.repeat_interleave(counts))
     return Windows(segments, stack_maps(grounds, view), resolutions, tuple(scene_of))
+
+
+def read_trajnet_windows(path: Path, resolution: float) -> Float[Array, "B T 2"]:
+    """Read TrajNet's windows of one scene as paths, metres to the right and up.
+
+    Raises:
+        TracksError: columns are missing, or rows are not windows of `WINDOW_STEPS` of one track.
+    """
+    table = read_table(path, text=("track",))
+    check_columns(path, table, numbers=("u_px", "v_px"), others=("frame", "track"))
+    metres = table[["u_px", "v_px"]].to_numpy(float) * [resolution, -resolution]
+    tracks = table["track"].to_numpy()
+    if len(table) % WINDOW_STEPS or not (np.abs(metres) <= MAX_POSITION_M).all():
+        raise TracksError(
+            f"{path}: {len(table)} rows; windows of {WINDOW_STEPS} rows each, with pixels of an "
+            "image, are needed"
+        )
+    if (tracks.reshape(-1, WINDOW_STEPS) != tracks[::WINDOW_STEPS, None]).any():
+        raise TracksError(f"{path}: a window of {WINDOW_STEPS} rows has more than one track")
+    return metres.reshape(-1, WINDOW_STEPS, 2)
+
+
+def read_resolutions(path: Path) -> dict[str, float]:
+    """Read metres per pixel by scene from a table like `scenes.csv`.
+
+    Raises:
+        TracksError: the table is malformed.
+    """
+    table = read_table(path, text=("scene",))
+    check_columns(path, table, numbers=("metres_per_pixel",), others=("scene",))
+    if len(twice := table["scene"][table["scene"].duplicated()]):
+        raise TracksError(f"{path} has several rows of the scene {twice.iloc[0]}; one is needed")
+    scales = dict(zip(table["scene"].astype(str), table["metres_per_pixel"], strict=True))
+    for name, scale in scales.items():
+        if not 0 < scale < math.inf:
+            raise TracksError(f"{path}: metres_per_pixel of {name} is {scale}")
+    return scales
 
 
 def make_path_segments(paths: Float[Tensor, "B T 2"]) -> Segments:

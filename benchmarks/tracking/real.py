@@ -23,11 +23,13 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.tracking import track_boxes
 from geoaim.tracking.report import find_unknown_headings
 from geoaim.tracks.formats import read_geotrax
-from geoaim.tracks.formats.geotrax import FRAME_RATE, PIXEL_COLUMNS, VEHICLE_CLASSES
+from geoaim.tracks.formats.geotrax import VEHICLE_CLASSES
 from geoaim.tracks.tracks import Tracks
 
 FOLDER, NAME = "tracks/songdo_u", "U_video_cut"
 SIZE = (2160, 3840)
+FRAME_RATE = 30_000 / 1001  # Hz
+COLUMNS = ["frame", "track", "x", "y", "width", "height", *"abcd", "class", "score"]
 MAX_DISTANCE_M = 3.0  # of states that are compared
 STRIDES = (1, 15)  # all frames, and two per second
 STANDING_SPEED = 0.7  # m/s
@@ -37,10 +39,8 @@ def measure_songdo(folder: Path, stride: int = 1) -> dict[str, Any]:
     """Measure the tracks of Songdo's boxes, of every so many frames, against the dataset's own."""
     own = read_geotrax(folder / f"{NAME}.csv", crs="EPSG:5186")
     world_from_frame = _read_transforms(folder, own)
-    columns = {"frame": "frame", "x": "u", "y": "v", "width": "du", "height": "dv"}
     read = read_detections(
-        pd.read_csv(folder / f"{NAME}.txt", names=PIXEL_COLUMNS, usecols=range(14)),
-        columns=columns,
+        pd.read_csv(folder / f"{NAME}.txt", names=COLUMNS, usecols=range(12)),
         classes=[f"{number}={name}" for number, name in VEHICLE_CLASSES.items()],
         form="xywh",
         first=0,

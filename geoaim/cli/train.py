@@ -2,11 +2,10 @@
 
 import csv
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -52,21 +51,11 @@ def train(
     ] = False,
     steps: Annotated[int, typer.Option(help="optimiser steps", min=1)] = STEPS,
     batch_size: Annotated[int, typer.Option(help="segments in a batch", min=1)] = BATCH_SIZE,
-    learning_rate: Annotated[
-        float | None,
-        typer.Option(help="highest learning rate; 0.0005, from scratch 0.002", min=1e-8),
-    ] = None,
     segment_duration: Annotated[
         float | None,
         typer.Option(
             help="seconds of a training segment; 4 of vehicles, 12 of pedestrians, 8 of cyclists"
         ),
-    ] = None,
-    view_size: Annotated[
-        int | None, typer.Option(help="side of a view, pixels, with --scratch", min=8)
-    ] = None,
-    view_resolution: Annotated[
-        float | None, typer.Option(help="metres per pixel of a view, with --scratch", min=0.01)
     ] = None,
     val_fraction: Annotated[
         float,
@@ -103,18 +92,12 @@ def train(
     judged: Result | None = None
     with show_progress() as progress, report_errors():
         check_output(output / "model.pt", inputs=[weights])
-        view = {"view_size": view_size, "resolution": view_resolution}
-        view = {name: value for name, value in view.items() if value is not None}
-        if view and not scratch:
-            raise ValueError("a trained model keeps its view; give --scratch with a view's options")
         source = SceneSource(aim, tracks, **files)
-        model = _init_model(weights, kind, seed, view) if scratch else load_model(weights, kind)
+        model = _init_model(weights, kind, seed) if scratch else load_model(weights, kind)
         scenes, dataset = _make_dataset(source, model, val_fraction, segment_duration, progress)
         configure = configure_training if scratch else configure_fine_tuning
         config = configure(model.config.kind, steps=steps, batch_size=batch_size, seed=seed)
         config = replace(config, checkpoint_interval=CHECKPOINT_STEPS)
-        if learning_rate is not None:
-            config = replace(config, learning_rate=learning_rate)
         try:
             report = _announce_duration(progress)
             trained = train_model(model, config, dataset, output, progress=report)
@@ -214,16 +197,14 @@ def _announce_duration(progress: Progress) -> Progress:
     return report
 
 
-def _init_model(
-    weights: Path | None, kind: options.AgentKind, seed: int, view: Mapping[str, Any]
-) -> "ITRA":
-    """Make a model with random weights; `view` replaces fields of its configuration."""
+def _init_model(weights: Path | None, kind: options.AgentKind, seed: int) -> "ITRA":
+    """Make a model with random weights."""
     from geoaim.prediction.config import DEFAULT_CONFIGS
     from geoaim.prediction.training import init_model
 
     default = DEFAULT_CONFIGS[kind.removesuffix("s")]
     config = default if weights is None else load_model(weights, kind).config
-    return init_model(replace(config, **view), seed=seed)
+    return init_model(config, seed=seed)
 
 
 def _describe_checkpoint(folder: Path) -> str:

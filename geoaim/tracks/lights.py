@@ -7,8 +7,7 @@ The plain table has a row for each change; a light keeps its state until its nex
     24.5,east,yellow
 
 SinD's tables (github.com/SOTIF-AVLab/SinD) have a row for each time at which any light changes and
-a column for each light, whose name is that of the signal. KIT's `signal_phases` have a row for each
-signal group and time, with a movement state of SAE J2735.
+a column for each light, whose name is that of the signal.
 """
 
 import os
@@ -39,16 +38,6 @@ STOP_LINE_COLOUR = "#d00000"
 COLUMNS = ["time", "signal", "state"]
 MIN_STOP_LINE_M = 0.1  # degrees mistaken for metres are shorter
 SIND_TIME = "timestamp(ms)"
-KIT_COLUMNS = ["timestamp_ms", "signal_group_id", "movement_state"]
-KIT_STATES = {
-    "STOP_AND_REMAIN": "red",
-    "STOP_THEN_PROCEED": "red",
-    "PRE_MOVEMENT": "red",  # red and yellow, just before green
-    "PERMISSIVE_MOVEMENT_ALLOWED": "green",
-    "PROTECTED_MOVEMENT_ALLOWED": "green",
-    "PERMISSIVE_CLEARANCE": "yellow",
-    "PROTECTED_CLEARANCE": "yellow",
-}
 SIND_STATES = {"0": "red", "1": "green", "3": "yellow"}
 
 
@@ -139,10 +128,10 @@ def read_stop_lines(path: str | os.PathLike[str], world: World) -> tuple[StopLin
 
 
 def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: World) -> Lights:
-    """Read states of traffic lights from a plain table, one of SinD's or KIT's `signal_phases`.
+    """Read states of traffic lights from a plain table, or one of SinD.
 
     Args:
-        path: a CSV file with the columns time (s), signal and state, or a table of SinD or KIT with
+        path: a CSV file with the columns time (s), signal and state, or a table of SinD with
             times in milliseconds.
         lines: stop lines of the signals, from `read_stop_lines` or `HDMap.stop_lines`; signals of
             the table without a line are left out.
@@ -235,19 +224,9 @@ def _read_rows(path: Path) -> pd.DataFrame:
         rows["time"] = pd.to_numeric(rows[SIND_TIME], errors="coerce") / 1000
         rows = rows.melt("time", lights, "signal", "state").dropna(subset="state")
         rows["state"] = rows["state"].replace(SIND_STATES)
-    if set(KIT_COLUMNS) <= set(rows.columns):
-        rows = _convert_kit_rows(rows)
     if not set(COLUMNS) <= set(rows.columns):
         raise TracksError(
             f"{path} has the columns {', '.join(rows.columns)}; {', '.join(COLUMNS)} are needed, "
-            f"or SinD's {SIND_TIME} and lights, or KIT's {', '.join(KIT_COLUMNS)}"
+            f"or SinD's {SIND_TIME} and lights; docs/formats/lights.md makes them of KIT's phases"
         )
     return rows[COLUMNS].assign(time=pd.to_numeric(rows["time"], errors="coerce"))
-
-
-def _convert_kit_rows(table: pd.DataFrame) -> pd.DataFrame:
-    """Convert KIT's signal phases to the changes among them."""
-    time = pd.to_numeric(table["timestamp_ms"], errors="coerce") / 1000
-    state = table["movement_state"].replace(KIT_STATES)
-    rows = pd.DataFrame({"time": time, "signal": table["signal_group_id"], "state": state})
-    return rows[rows["state"] != rows.groupby("signal")["state"].shift()]

@@ -62,10 +62,11 @@ def test_wrong_calls_end_in_a_line(tmp_path, given, message):
 
 
 def test_states_of_whole_tracks_are_written_with_a_warning(tmp_path):
-    """TrajNet's windows have positions alone, from which headings and speeds are computed."""
-    path = tmp_path / "windows.csv"
+    """Tables in pixels have positions alone, from which headings and speeds are computed."""
+    path = tmp_path / "pixels.csv"
     path.write_text(
-        "frame,track,u_px,v_px\n" + "".join(f"{12 * k},1,{10 * k},{k * k}\n" for k in range(20))
+        "time,id,x,y,type\n"
+        + "".join(f"{0.4 * k},1,{10 * k},{k * k},pedestrian\n" for k in range(20))
     )
     given = ["convert", str(path), "--tracks-resolution", "0.05", "-o"]
     result = run(app, [*given, str(tmp_path / "a.gpkg")])

@@ -33,7 +33,6 @@ BINARY = (by.mutate_numbers,)
 PNG = (by.mutate_numbers, by.mutate_chunks)
 PICKLE = (by.mutate_numbers, by.mutate_pickle)
 STATE = (by.mutate_state,)
-KIT_LINES = [StopLine("1", np.array([[0.0, 0.0], [3.0, 0.0]]))]
 SIND_LINES = [StopLine("Traffic light 1", np.array([[0.0, 0.0], [3.0, 0.0]]))]
 
 
@@ -102,7 +101,6 @@ READERS = {
     "tracks: Parquet": _tracks("plain.parquet", (*BINARY, by.mutate_parquet)),
     "tracks: SDD": _tracks("sdd.txt", resolution=0.04),
     "tracks: SDD, gzipped": _tracks("sdd.txt.gz", (by.mutate_gzipped,), resolution=0.04),
-    "tracks: TrajNet": _tracks("trajnet.csv", resolution=0.04),
     "tracks: pixel": _tracks("pixels.csv", resolution=0.04, frame_rate=24.0),
     "tracks: INTERACTION": _tracks("interaction.csv"),
     "tracks: SinD": _tracks("sind.csv"),
@@ -112,15 +110,11 @@ READERS = {
     "tracks: highD": _tracks("01_tracks.csv"),
     "tracks: highD, agents": _tracks("01_tracksMeta.csv"),
     "tracks: geo-trax": _tracks("geotrax.csv"),
-    "tracks: geo-trax pixels": _tracks("geotrax.txt", resolution=0.05),
     "tracks: Argoverse 2": _tracks("argoverse.parquet", (*BINARY, by.mutate_parquet)),
     "tracks: GeoPackage": _tracks("tracks.gpkg", (*BINARY, by.mutate_geopackage)),
     "tracks: ScenarioNet": _tracks("scenario.pkl", PICKLE),
     "lights: plain": Reader(
         "lights.csv", TEXT, lambda f: read_lights(f / "lights.csv", _read_lines(f), WORLD)
-    ),
-    "lights: KIT": Reader(
-        "phases.csv", TEXT, lambda f: read_lights(f / "phases.csv", KIT_LINES, WORLD)
     ),
     "lights: SinD": Reader(
         "sind_lights.csv", TEXT, lambda f: read_lights(f / "sind_lights.csv", SIND_LINES, WORLD)

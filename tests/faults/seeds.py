@@ -42,12 +42,8 @@ TABLES = {
     "sdd.txt": "\n".join(
         f'{i} {9 * k} 100 {9 * k + 20} 140 {6 * k} 0 0 0 "Biker"' for i in (0, 1) for k in range(6)
     ),
-    "trajnet.csv": "frame,track,u_px,v_px\n"
-    + "".join(f"{12 * k},{i},{10 * k},{5 * k}\n" for i in (1, 2) for k in range(20)),
     "pixels.csv": "id,frame,x,y,type\n"
     + "".join(f"{i},{6 * k},{10 * k},{5 * k},car\n" for i in (1, 2) for k in range(20)),
-    "phases.csv": "signal_group_id,timestamp_ms,movement_state\n"
-    "1,0,STOP_AND_REMAIN\n1,900,PROTECTED_MOVEMENT_ALLOWED\n1,2000,PROTECTED_CLEARANCE\n",
     "interaction.csv": "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n"
     + "".join(f"{i},{k},{100 * k},car,{k},{i},10,0,0,4.5,1.8\n" for i in (1, 2) for k in range(5)),
     "sind.csv": "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,yaw_rad,length,width,ax,ay\n"
@@ -70,9 +66,6 @@ TABLES = {
         f"{i},2022-10-07 17:52:13.{k}00,{k},0,0,{170000 + k},532000.0,37,126,4.9,1.9,0\n"
         for i in (1, 2)
         for k in range(5)
-    ),
-    "geotrax.txt": "".join(
-        f"{k},{i},{9 * k},50,40,20,{9 * k},50,40,20,0,0.9,45,18\n" for i in (1, 2) for k in range(6)
     ),
     "lights.csv": "time,signal,state\n0,east,green\n0,west,red\n5,east,yellow\n8,east,red\n",
     "sind_lights.csv": "RawFrameID,timestamp(ms),Traffic light 1,Traffic light 2\n0,0,1,0\n"

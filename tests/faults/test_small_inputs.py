@@ -22,7 +22,6 @@ from geoaim.tracks.lights import read_light_changes
 from tests.faults.seeds import make_aim
 
 FRAME = Frame(0, 0.0, "000000", np.zeros((48, 64), np.uint8))
-WINDOW = "frame,track,u_px,v_px\n" + "".join(f"{12 * k},1,{k},2\n" for k in range(20))
 HUGE = "9" * 5000  # more digits than Python makes a number of
 
 
@@ -45,11 +44,6 @@ CASES = {  # the file at fault, its content, what reads it, and what is read if 
     "COCO without boxes": ("c.json", '{"annotations": [{"image_id": 1}], "images": []}', None),
     "JSON of digits": ("c.json", f"[{HUGE}]", read_boxes),
     "JSON of brackets": ("c.json", "[" * 100_000, read_boxes),
-    "scale with a unit": ("scenes.csv", "scene,metres_per_pixel\nw,0.04 m\n", read_tracks, "w.csv"),
-    "scenes of Latin-1": ("scenes.csv", "scene\né".encode("latin-1"), read_tracks, "w.csv"),
-    "scenes without rows": ("scenes.csv", "scene,metres_per_pixel\n", read_tracks, "w.csv"),
-    "scene twice": ("scenes.csv", "scene,metres_per_pixel\nw,1\nw,2\n", read_tracks, "w.csv"),
-    "scale of 0": ("scenes.csv", "scene,metres_per_pixel\nw,0\n", read_tracks, "w.csv"),
     "tracks of digits": ("t.csv", f"{TRACKS}1,car,0,{HUGE},2,0,0,4,2\n", read_tracks),
     "tracks' format": ("t.csv", f"# format: {HUGE}\n{TRACKS}1,car,0,1,2,0,0,4,2\n", read_tracks),
     "tracks' origin": ("t.csv", f"# origin: a b\n{TRACKS}1,car,0,1,2,0,0,4,2\n", read_tracks),
@@ -81,8 +75,6 @@ def test_one_line_names_the_file(name, tmp_path):
     path = tmp_path / file
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    if file == "scenes.csv":
-        (tmp_path / "w.csv").write_text(WINDOW)
     if name.startswith("lights"):
         read = read_light_changes
     refuse(read or USUAL[path.suffix], tmp_path.joinpath(*source or [file]), path.name)

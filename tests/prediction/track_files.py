@@ -135,14 +135,6 @@ def _to_pixels(write: Callable[[pd.DataFrame, Path], Path]) -> Callable[[pd.Data
     return write_pixels
 
 
-def _write_geotrax_pixels(rows: pd.DataFrame, folder: Path) -> Path:
-    box = rows[["x", "y", "length", "width"]]
-    parts = [rows[["frame", "id"]], box, box, pd.DataFrame({"class": 0, "c": 0.9}, rows.index)]
-    table = pd.concat([*parts, rows[["length", "width"]] / RESOLUTION], axis=1)
-    table.to_csv(folder / "a.txt", index=False, header=False)
-    return folder / "a.txt"
-
-
 def _write_ind(rows: pd.DataFrame, folder: Path) -> Path:
     (folder / "00_recordingMeta.csv").write_text(
         "frameRate,latLocation,lonLocation,xUtmOrigin,yUtmOrigin\n25,50.78,6.13,297631,5629917\n"
@@ -173,7 +165,6 @@ BOX = {"length": "length", "width": "width"}
 GEOTRAX = {"id": "Vehicle_ID", "time": "Timestamp", "frame": "Frame_Number", "x": "Local_X"}
 GEOTRAX |= {"y": "Local_Y", "length": "Vehicle_Length", "width": "Vehicle_Width"}
 PIXELS = {"id": "id", "frame": "frame", "x": "x", "y": "y", "type": "type"}
-TRAJNET = {"frames_of_30_hz": "frame", "id": "track", "x": "u_px", "y": "v_px"}
 SCALE = {"resolution": RESOLUTION}
 FORMS = {  # names begin with that of their `TrackFormat`
     "plain": Form(_write_plain("a.csv")),
@@ -195,16 +186,7 @@ FORMS = {  # names begin with that of their `TrackFormat`
     "inD": Form(_write_ind, rate=25.0),
     "highD": Form(_write_highd, rate=25.0),
     "geo-trax": Form(_write_table("a.csv", "car", GEOTRAX, Vehicle_Class=0), rate=29.97),
-    "geo-trax pixels": Form(_to_pixels(_write_geotrax_pixels), rate=30_000 / 1001, options=SCALE),
     "pixel": Form(
         _to_pixels(_write_table("a.csv", "car", PIXELS)), 24.0, options={**SCALE, "frame_rate": 24}
-    ),
-    "TrajNet": Form(
-        lambda rows, folder: _to_pixels(_write_table("a.csv", "pedestrian", TRAJNET))(
-            rows.assign(frames_of_30_hz=12 * rows["frame"]), folder
-        ),
-        rate=2.5,
-        kind="pedestrian",
-        options=SCALE,
     ),
 }

@@ -77,20 +77,6 @@ def test_sinds_recordings_have_three_seconds_of_yellow(data_folder, table, count
     assert not (lights.states == GREEN).all(axis=1).any()
 
 
-def test_kits_signal_phases_are_read(tmp_path):
-    phases = ["STOP_AND_REMAIN", "STOP_AND_REMAIN", "PRE_MOVEMENT", "PERMISSIVE_MOVEMENT_ALLOWED"]
-    phases += ["PROTECTED_MOVEMENT_ALLOWED", "PERMISSIVE_CLEARANCE", "STOP_AND_REMAIN"]
-    rows = [f"{group},{100 * k},{state}\n" for group in (1, 2) for k, state in enumerate(phases)]
-    table = "signal_group_id,timestamp_ms,movement_state\n" + "".join(rows)
-    line = StopLine("2", np.array([[0.0, 0], [3, 0]]))
-    lights = _read(tmp_path, table, [line])
-    assert lights.names == ("2",)
-    np.testing.assert_allclose(lights.times, [0, 0.3, 0.5, 0.6])
-    assert lights.states[:, 0].tolist() == [RED, GREEN, YELLOW, RED]
-    with pytest.raises(TracksError, match=r"no time in seconds or a state other than.*DARK"):
-        _read(tmp_path, table + "2,900,DARK\n", [line])
-
-
 def test_hand_drawn_stop_lines_are_read(tmp_path):
     world, path = World("EPSG:32635", (500000.0, 5900000.0)), tmp_path / "lines.geojson"
     lines = [Feature(LineString(line.ends), {"signal": "east"}) for line in LINES]

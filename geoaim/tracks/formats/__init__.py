@@ -59,13 +59,13 @@ Without headings and speeds, `motion.make_tracks_from_positions` derives both; w
 from geoaim.tracks.formats.argoverse import read_argoverse
 from geoaim.tracks.formats.formats import read_tracks
 from geoaim.tracks.formats.geopackage import read_geopackage, write_geopackage
-from geoaim.tracks.formats.geotrax import read_geotrax, read_geotrax_pixels
+from geoaim.tracks.formats.geotrax import read_geotrax
 from geoaim.tracks.formats.interaction import read_interaction, read_sind
 from geoaim.tracks.formats.levelx import read_highd, read_ind
 from geoaim.tracks.formats.motion import derive_motion, derive_speeds
 from geoaim.tracks.formats.pixels import read_pixels
 from geoaim.tracks.formats.scenarionet import read_scenarionet
-from geoaim.tracks.formats.stanford import read_sdd, read_trajnet
+from geoaim.tracks.formats.stanford import read_sdd
 
 __all__ = [
     "derive_motion",
@@ -73,7 +73,6 @@ __all__ = [
     "read_argoverse",
     "read_geopackage",
     "read_geotrax",
-    "read_geotrax_pixels",
     "read_highd",
     "read_ind",
     "read_interaction",
@@ -82,6 +81,5 @@ __all__ = [
     "read_sdd",
     "read_sind",
     "read_tracks",
-    "read_trajnet",
     "write_geopackage",
 ]

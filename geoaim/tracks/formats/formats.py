@@ -67,9 +67,8 @@ def read_tracks(
             with "world" in their `TrackFormat.options` (geo-trax takes the CRS only). None: the
             plane of a `meta_data.csv` beside a file of the INTERACTION format, or a local plane.
         resolution: metres per pixel, for formats in pixels, those with "resolution" in their
-            options; without it SDD raises, and TrajNet needs a `scenes.csv` that has it.
-        frame_rate: frames per second, for tables that have frames and no times; geo-trax in
-            pixels has 29.97 without it.
+            options, which need it.
+        frame_rate: frames per second, for tables that have frames and no times.
 
     Returns:
         The tracks.

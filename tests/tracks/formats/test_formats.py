@@ -4,7 +4,7 @@ import pytest
 
 from geoaim.base.errors import GeoaimWarning, TracksError
 from geoaim.base.world import World
-from geoaim.tracks.formats import derive_speeds, read_tracks, read_trajnet
+from geoaim.tracks.formats import derive_speeds, read_tracks
 from geoaim.tracks.formats.formats import detect_format
 from geoaim.tracks.formats.motion import make_tracks_from_positions
 from geoaim.tracks.tables import make_tracks
@@ -25,8 +25,6 @@ COLUMNS = "id,type,time,x,y,heading,speed,length,width\n"
         (test_levelx.IND, "inD"),
         (test_levelx.HIGHD, "highD"),
         (test_readers.GEOTRAX, "geo-trax"),
-        ("1,7,10,20,4.5,2,1e1,20,4.5,2,0,0.9,nan,nan\n", "geo-trax pixels"),
-        ("frame,track,u_px,v_px\n", "TrajNet"),
         (test_pixels.DUT, "pixel"),
         (test_pixels.PLAIN, "pixel"),
         ('0 1360 1073 1394 1131 10 1 0 0 "Pedestrian"\n', "SDD"),
@@ -90,39 +88,8 @@ def test_a_missing_file_is_reported_as_missing(tmp_path):
         read_tracks(tmp_path / "nowhere.csv")
 
 
-def _windows(folder):
-    (folder / "windows").mkdir()
-    path = folder / "windows/gates_0.csv"
-    lines = [
-        f"{12 * k + 12 * late},{track},{100 + 10 * k},200"
-        for track, late in ((5, 0), (8, 4))
-        for k in range(20)
-    ]
-    path.write_text("frame,track,u_px,v_px\n" + "\n".join(lines) + "\n")
-    return path
-
-
-def test_trajnet_windows_become_one_recording_in_metres(tmp_path):
-    tracks = read_trajnet(_windows(tmp_path), resolution=0.04)
-    assert (tracks.ids, tracks.types) == (("5", "8"), ("pedestrian",) * 2)
-    np.testing.assert_allclose(tracks.times, 0.4 * np.arange(24))
-    assert tracks.present.sum(axis=1).tolist() == [20, 20]
-    np.testing.assert_allclose(tracks.states[1, 4], [4, -8, 0, 1], atol=1e-9)
-
-
-def test_trajnet_resolution_is_looked_up_in_scenes_csv(tmp_path):
-    path = _windows(tmp_path)
-    with pytest.raises(ValueError, match=r"no scenes.csv in its folder .* give a resolution"):
-        read_tracks(path)
-    (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\ngates_0,0.05\n")
-    assert read_tracks(path).states[0, 0, 0] == pytest.approx(5)
-
-
 def test_real_files_are_read(data_folder):
     tracks = data_folder / "tracks"
-    windows = read_tracks(tracks / "sdd_trajnet/windows/gates_1.csv")
-    assert (windows.present.sum(axis=1) == 20).all()
-    assert 0.8 < np.nanmedian(windows.states[..., 3]) < 1.6
     assert len(read_tracks(next((tracks / "sind/Changchun").glob("*/Ped*.csv")).parent).ids) == 49
     world = World("EPSG:5186")
     assert len(read_tracks(tracks / "songdo_u/U_video_cut.csv", world=world).ids) == 144

@@ -1,4 +1,4 @@
-"""geo-trax: its files in pixels, real ones, and their times. Other tests: test_readers.py."""
+"""geo-trax: the times of its files. Other tests: test_readers.py."""
 
 from pathlib import Path
 
@@ -7,57 +7,7 @@ import pandas as pd
 import pytest
 
 from geoaim.base.errors import TracksError
-from geoaim.tracks.formats import read_geotrax, read_geotrax_pixels, read_tracks
-
-PIXELS = "".join(
-    f"{k},{track},{100 + 9 * k},50,40,20,{100 + 10 * k},50,40,20,{kind},0.9,{length},18.5\n"
-    for track, kind, length in ((1, 0, 45), (2, 1, "nan"))
-    for k in range(8)
-)
-
-
-def test_file_in_pixels_is_read_in_its_reference_frame(tmp_path):
-    path = tmp_path / "a.txt"
-    path.write_text(PIXELS)
-    tracks = read_tracks(path, resolution=0.1)
-    assert (tracks.ids, tracks.types) == (("1", "2"), ("car", "bus"))
-    np.testing.assert_allclose(tracks.states[0, 2, :2], [12.0, -5.0])
-    np.testing.assert_allclose(tracks.states[0, :, 3], 29.97, atol=0.01)
-    np.testing.assert_allclose(tracks.times[:2], [0, 1001 / 30000], atol=1e-6)
-    np.testing.assert_allclose(tracks.sizes, [[4.5, 1.85], [12.0, 1.85]])
-    moving = read_geotrax_pixels(path, resolution=0.1, frame_rate=10.0, stabilised=False)
-    np.testing.assert_allclose(moving.states[0, 2, :2], [11.8, -5.0])
-    assert moving.times[-1] == pytest.approx(0.7)
-    given = read_tracks(path, resolution=0.1, frame_rate=10.0)
-    assert given.times[-1] == pytest.approx(0.7)
-
-
-def test_broken_files_in_pixels_are_refused(tmp_path):
-    path = tmp_path / "a.txt"
-    path.write_text(PIXELS)
-    with pytest.raises(ValueError, match="needs a resolution"):
-        read_tracks(path)
-    with pytest.raises(ValueError, match=r"frame_rate is 0.0; a positive"):
-        read_geotrax_pixels(path, resolution=0.1, frame_rate=0.0)
-    path.write_text("1,2,3\n")
-    with pytest.raises(TracksError, match="has 3 columns; 14 or 15 are needed"):
-        read_geotrax_pixels(path, resolution=0.1)
-    path.write_text(PIXELS.replace("\n", ",x\n"))
-    with pytest.raises(TracksError, match=r"a\.txt"):
-        read_tracks(path, resolution=0.1)
-
-
-def test_real_files_agree(data_folder):
-    folder = data_folder / "tracks/songdo_u"
-    metres = read_geotrax(folder / "U_video_cut.csv", crs="EPSG:5186")
-    pixels = read_tracks(folder / "U_video_cut.txt", resolution=0.027)
-    shared = [name for name in metres.ids if name in pixels.ids]
-    assert len(shared) > 140
-    for tracks in (metres, pixels):
-        rows = [tracks.ids.index(name) for name in shared]
-        speeds = np.nanmedian(tracks.states[rows, :, 3], axis=1)
-        assert 3 < np.median(speeds[speeds > 1]) < 15
-
+from geoaim.tracks.formats import read_tracks
 
 HEAD = "Vehicle_ID,{}Ortho_X,Ortho_Y,Local_X,Local_Y,Latitude,Longitude,Vehicle_Length,"
 HEAD += "Vehicle_Width,Vehicle_Class,Vehicle_Speed,Vehicle_Acceleration,Road_Section,Lane_Number,"

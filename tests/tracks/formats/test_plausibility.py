@@ -175,12 +175,6 @@ def write_sdd(folder, x=900):
     return folder / "annotations.txt"
 
 
-def write_trajnet(folder, x=19000):
-    rows = "".join(f"{12 * k},5,{x * k / 19},200\n" for k in range(20))
-    (folder / "a.csv").write_text("frame,track,u_px,v_px\n" + rows)
-    return folder / "a.csv"
-
-
 @pytest.mark.filterwarnings("ignore:.*taken from the positions")
 @pytest.mark.parametrize(
     ("write", "options"),
@@ -190,7 +184,6 @@ def write_trajnet(folder, x=19000):
         (write_highd, {}),
         (write_geotrax, {}),
         (write_sdd, {"resolution": 0.1}),
-        (write_trajnet, {"resolution": 0.1}),
     ],
 )
 def test_every_format_is_checked(tmp_path, write, options):
@@ -200,8 +193,7 @@ def test_every_format_is_checked(tmp_path, write, options):
 
 @pytest.mark.parametrize("x", [10**15, -(10**9)])
 @pytest.mark.parametrize(
-    ("write", "options"),
-    [(write_geotrax, {}), (write_sdd, {"resolution": 1.0}), (write_trajnet, {"resolution": 1.0})],
+    ("write", "options"), [(write_geotrax, {}), (write_sdd, {"resolution": 1.0})]
 )
 def test_positions_off_the_earth_are_refused(tmp_path, write, options, x):
     with pytest.raises(TracksError, match=r"row \d+: x .* is not in metres from the origin"):
