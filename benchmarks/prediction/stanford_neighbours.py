@@ -28,8 +28,8 @@ TEST_DATA = "tracks/sdd_trajnet_test"  # the standard test part, in the same for
 HORIZON = WINDOW_STEPS - HISTORY_STEPS
 WIDTH, OTHERS_WIDTH = 512, 64
 FAR_M, FINE_M = 5.0, 0.02  # what inputs are scaled by: whole ways, and half a pixel
-SEEDS = 3
-MODELS = {"alone": False, "neighbours": True}  # whether the network sees the neighbours
+SEEDS = {"alone": 3, "neighbours": 3}
+CHOSEN = "neighbours"  # on the validation scenes
 
 
 @dataclass(frozen=True)
@@ -105,25 +105,23 @@ def run(workspace: Workspace) -> list[Path]:
     folder = require_data(DATA)
     names = [path.stem for path in sorted((folder / "windows").glob("*.csv"))]
     train = read_people(folder, [name for name in names if name not in VAL_SCENES], training=True)
-    val = read_people(folder, VAL_SCENES, training=False)
+    val, test = read_people(folder, VAL_SCENES, training=False), _find_test()
     trained: dict[str, list[Metrics]] = {}
-    for name, neighbours in MODELS.items():
-        networks = _train_all(train, workspace, name, neighbours=neighbours)
+    for name in SEEDS:
+        networks = _train_all(train, workspace, name)
         trained[name] = [evaluate_network(network, val) for network in networks]
+        if test is not None and name == CHOSEN:
+            judged = [evaluate_network(network, test) for network in networks]
+            trained[f"{name}, test part"] = judged
     metrics = {name: average_seeds(parts) for name, parts in trained.items()}
     settings = {
         "windows": len(val.paths),
+        "test windows": len(test.paths) if test else 0,
         "training windows": len(train.paths),
         "samples": STANFORD_SAMPLES,
-        "neighbours minus alone": compute_differences(metrics["neighbours"], metrics["alone"]),
+        "neighbours minus alone": compute_differences(metrics[CHOSEN], metrics["alone"]),
+        "trainings": {name: compute_seed_means(parts) for name, parts in trained.items()},
     }
-    if (test := _find_test()) is not None:
-        whole = read_people(folder, names, training=True)
-        networks = _train_all(whole, workspace, "neighbours, all scenes", neighbours=True)
-        trained["test part"] = [evaluate_network(network, test) for network in networks]
-        metrics["neighbours, test part"] = average_seeds(trained["test part"])
-        settings["test windows"] = len(test.paths)
-    settings["trainings"] = {name: compute_seed_means(parts) for name, parts in trained.items()}
     return write_results("stanford_neighbours", metrics, settings, workspace.results)
 
 
@@ -137,18 +135,17 @@ def _find_test() -> People | None:
     return read_people(folder, names, training=False)
 
 
-def _train_all(
-    people: People, workspace: Workspace, name: str, *, neighbours: bool
-) -> list[NeighboursMLP]:
+def _train_all(people: People, workspace: Workspace, name: str) -> list[NeighboursMLP]:
     """Networks of all seeds; what lies in the workspace is used again."""
     networks = []
-    for seed in range(SEEDS):
-        path = workspace.models / f"stanford_{name.replace(', ', '_').replace(' ', '_')}_{seed}.pt"
+    for seed in range(SEEDS[name]):
+        path = workspace.models / f"stanford_{name}_{seed}.pt"
+        neighbours = name == "neighbours"
         network = NeighboursMLP(neighbours=neighbours).eval()
         if not path.exists():
-            workspace.progress(f"train {name}", seed, SEEDS)
+            workspace.progress(f"train {name}", seed, SEEDS[name])
             path.parent.mkdir(parents=True, exist_ok=True)
-            trained = train_network(people, neighbours=neighbours, seed=seed)
+            trained = train_network(people, neighbours=neighbours, seed=seed, training=TRAINING)
             torch.save(trained.state_dict(), path)
         network.load_state_dict(torch.load(path, weights_only=True))
         networks.append(network)

@@ -124,7 +124,7 @@ def test_the_test_part_is_judged_where_it_is(tmp_path, monkeypatch):
             write_scene(tmp_path / "data" / folder, name, [(0, 0, 0), (0, 0, 30)])
     monkeypatch.setenv("GEOAIM_DATA", str(tmp_path / "data"))
     monkeypatch.setattr(stanford_neighbours, "VAL_SCENES", ("park_0",))
-    monkeypatch.setattr(stanford_neighbours, "SEEDS", 1)
+    monkeypatch.setattr(stanford_neighbours, "SEEDS", {"alone": 1, "neighbours": 1})
     monkeypatch.setattr(stanford_neighbours, "TRAINING", stanford_neighbours.Training(2, 2))
     paths = stanford_neighbours.run(Workspace(tmp_path, tmp_path / "results"))
     table = paths[1].read_text()
