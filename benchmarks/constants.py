@@ -25,6 +25,10 @@ import numpy as np
 import pandas as pd
 import typer
 
+from benchmarks.alignment.benchmark import list_methods, measure_pair
+from benchmarks.alignment.mosaics import LAYOUTS, PRIOR, displace_parts, judge_mosaic
+from benchmarks.alignment.pairs import Pair, make_pairs, misplace_picture, move_to_aim
+from benchmarks.alignment.real import align_misplaced
 from benchmarks.background.drawn_queue import draw_queue
 from benchmarks.background.methods import METHODS as BACKGROUNDS
 from benchmarks.background.methods import measure_background
@@ -38,13 +42,15 @@ from benchmarks.tracking.benchmark import VALIDATION_SEED, measure_case
 from benchmarks.tracking.cases import DetectorErrors, TrackingCase, make_drawn_case
 from benchmarks.tracking.hard import BURSTS, FALSE, take_frames
 from benchmarks.tracking.lanes import make_lanes_case
+from geoaim.imagery.alignment.evidence import AimEvidence
+from geoaim.imagery.mosaic import Mosaic
 from geoaim.tracking.pipeline import track_boxes
 
 PACKAGE = ROOT / "geoaim"
 FACTOR = 1.5
 SAME_ERROR = 0.02  # relative change of the error that counts as none
 # files that no stage's cases reach: vehicles without boxes, and pictures
-UNREACHED = ("find_vehicles", "box_evidence", "frame_poses", "overlay", "scale")
+UNREACHED = ("find_vehicles", "frame_poses", "overlay", "scale")
 # kinds and ranks of validation clips: what is filmed, and each hardship at two levels
 REGISTRATION_CLIPS = {
     "plain": (2, 4),
@@ -222,11 +228,58 @@ def measure_queues(clips: Sequence[QueueClip]) -> Mapping[str, float]:
     return {str(name): float(value) for name, value in rows.mean().items()}
 
 
+def make_alignment_pairs() -> list[Pair]:
+    """Make places whose pictures are misplaced, which the benchmark of alignment does not use."""
+    generator = np.random.default_rng(7)
+    return [misplace_picture(pair, generator) for pair in make_pairs(1, first=21)]
+
+
+def measure_alignment(pairs: Sequence[Pair]) -> Mapping[str, float]:
+    """Align pictures of the place, of another one and in two parts, and to tracks."""
+    align = list_methods()["geoaim"]
+    other = move_to_aim(replace(pairs[0], aim=pairs[1].aim))
+    errors = np.array([measure_pair(pair, align)[:2] for pair in [*pairs[:3], other]])
+    tracked = [
+        one
+        for pair in pairs[2:4]
+        if pair.tracks is not None
+        for one in align_misplaced(pair.picture, pair.tracks, 1)
+        if one is not None
+    ]
+    halves = _measure_halves(pairs[3])
+    return {
+        "answered": int(np.isfinite(errors[:3, 0]).sum()),
+        "accepted for another place": int(np.isfinite(errors[3, 0])),
+        "to tracks": len(tracked),
+        "error, px": float(np.nanmean(errors[:3, 0])),
+        "stated, px": float(np.nanmean(errors[:3, 1])),
+        "error to tracks, m": float(np.mean([np.linalg.norm(one[0]) for one in tracked])),
+        **halves,
+    }
+
+
+def _measure_halves(pair: Pair) -> dict[str, float]:
+    """Align a picture in one file whose halves are displaced by 4 m to the east and the north."""
+    picture = replace(pair.picture, world_from_image=_undo(pair))
+    shifts = np.array([[4.0, 0.0], [0.0, 4.0]])
+    moved, labels = displace_parts(picture, LAYOUTS["halves"], shifts)
+    found = judge_mosaic(
+        Mosaic(moved, None, ("1.tif", "2.tif")), AimEvidence(pair.aim, PRIOR), labels, shifts
+    )
+    errors = found["errors_m"] or [float("nan")]
+    return {"parts": found.get("parts", 0), "error of parts, m": float(np.max(errors))}
+
+
+def _undo(pair: Pair) -> Any:
+    return np.linalg.inv(pair.stated_from_true) @ pair.picture.world_from_image
+
+
 STAGES: dict[str, tuple[str, Callable[[], Any], Callable[[Any], Mapping[str, float]]]] = {
     "registration": ("mapping/registration", make_registration_clips, measure_registration),
     "tracking": ("tracking", make_tracking_cases, measure_tracking),
     "georeference": ("mapping/georeference", make_point_sets, measure_points),
     "background": ("mapping/background", make_queues, measure_queues),
+    "alignment": ("imagery/alignment", make_alignment_pairs, measure_alignment),
 }
 
 

@@ -212,6 +212,8 @@ def _judge(
         judged = judge_tracks(interval, followed.unused, followed.certainty, warnings[1])
         if verdicts["map"].grade == "unusable":
             judged = Verdict("unusable", ("the map that they lie on is", *judged.by))
+        elif followed.certainty is not None and verdicts["scale"].grade == "unusable":
+            judged = Verdict("unusable", ("their scale is", *judged.by))
         verdicts["tracks"] = judged
         shares |= {"unused_boxes": followed.unused, "observed": measure_observed(followed.tracks)}
         shares["expected_right"] = followed.certainty

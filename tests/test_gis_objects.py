@@ -12,7 +12,7 @@ import geoaim
 from geoaim.base.errors import GeoaimError
 from geoaim.base.world import World, lonlat_from_world
 from geoaim.hdmap.drivable import read_drivable_area
-from geoaim.imagery.mosaic import read_imagery
+from geoaim.imagery.mosaic import read_imagery, read_lonlat
 from geoaim.mapping.georeference.control_points import read_control_points
 
 geopandas = pytest.importorskip("geopandas")
@@ -152,3 +152,15 @@ def test_drivable_area_comes_from_shapes():
         np.testing.assert_allclose(found.bounds, square.bounds, atol=1e-3)
     with pytest.raises(GeoaimError, match="the GeoDataFrame holds Point"):
         read_drivable_area(geopandas.GeoDataFrame(geometry=frame.centroid, crs=frame.crs), world)
+
+
+def test_errors_name_no_temporary_folder():
+    profile = {"driver": "GTiff", "width": 8, "height": 8, "count": 3, "dtype": "uint8"}
+    with MemoryFile() as memory:
+        with memory.open(**profile, transform=rasterio.Affine(2, 0, 5, 0, -2, 5)) as made:
+            made.write(np.full((3, 8, 8), 99, np.uint8))
+        with memory.open() as dataset:
+            for read in (read_imagery, lambda source: read_lonlat(source, None)):
+                with pytest.raises(GeoaimError) as caught:
+                    read(dataset)
+                assert str(caught.value).startswith("source 1.tif"), caught.value

@@ -20,11 +20,11 @@ from geoaim.mapping import pipeline
 from geoaim.mapping.background.exposure import estimate_gain, start_exposure
 from geoaim.mapping.background.running_mean import Background, average_frames
 from geoaim.mapping.background.traffic_search import _shrink_frame
+from geoaim.mapping.box_evidence import view_map
 from geoaim.mapping.georeference.transform_models import distort_points
 from geoaim.mapping.registration.features import detect_features, match_features
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
 from geoaim.mapping.video.frames import Frame
-from geoaim.tracking.frame_poses import view_aim
 from geoaim.web.picking.snap import snap_to_corner
 from tests.conftest import textured
 
@@ -104,7 +104,7 @@ def test_rectified_pixels_lie_where_the_grid_says(aim, resolution):
 @pytest.mark.parametrize("frame_from_aim", [SHIFTED, OBLIQUE])
 def test_view_of_an_aim_lies_where_its_transform_says(frame_from_aim):
     aim_from_frame, covered = np.linalg.inv(frame_from_aim), np.ones((100, 120), bool)
-    view, _ = view_aim(ramp(), covered, aim_from_frame, (200, 240))
+    view, _ = view_map(ramp(), covered, aim_from_frame, (200, 240))
     expected = transform_points(aim_from_frame, coordinates(200, 240))
     assert bias(view, expected) < MAX_BIAS_PX
 

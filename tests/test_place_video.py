@@ -22,9 +22,12 @@ from geoaim.base.world import World
 from geoaim.cli import app
 from geoaim.cli.inputs import find_video
 from geoaim.mapping.video.video import open_video
+from geoaim.tracking import pipeline as tracking
+from geoaim.tracking.box_checks import check_standing, find_askew
 from geoaim.tracking.pipeline import FollowedVideo
 from geoaim.tracking.scale import check_scale
 from geoaim.tracking.verdicts import judge_map, judge_scale, judge_tracks
+from geoaim.tracks.changes import select_agents
 from tests.geojson_files import write_features
 
 SAMPLES = Path(__file__).parents[1] / "samples"
@@ -132,6 +135,40 @@ def test_what_cannot_be_used_is_said(junction):
     assert judge_map(result.aim, ("contested",)).grade == "doubtful"
     small = replace(result.tracks, sizes=result.tracks.sizes / 8)
     assert judge_scale(result.aim, small).grade == "unusable"
+
+
+def test_people_who_are_taken_for_cars_tell_no_scale(junction):
+    result = junction[1]
+    assert find_askew(result.tracks) == ""
+    across = replace(result.tracks, sizes=result.tracks.sizes[:, ::-1])  # as shoulders lie
+    askew = replace(result.tracks, sizes=result.tracks.sizes * [4, 0.2])  # as fitted to any turn
+    times = SimpleNamespace(times=np.arange(9.0) / 9)
+    for people in (across, askew):
+        with pytest.warns(GeoaimWarning, match="across their paths .* people look like cars"):
+            check_scale(people, result.aim)
+        followed = FollowedVideo(people, times, 0.0, 0.95)
+        judged = pipeline._judge(replace(result, tracks=people), followed, ((), ()))
+        assert judged.verdicts["scale"].grade == judged.verdicts["tracks"].grade == "unusable"
+
+
+def test_what_stands_and_comes_or_goes_is_doubted(junction):
+    tracks = junction[1].tracks
+    check_standing(tracks)
+    still = tracks.states.copy()
+    first = tracks.present.argmax(axis=1)
+    still[:] = still[np.arange(len(first)), first][:, None]
+    half = tracks.present & (np.arange(len(tracks.times)) < len(tracks.times) / 2)[None]
+    shown = half.any(axis=1)  # as the first of two stills
+    part = replace(select_agents(tracks, shown), states=still[shown], present=half[shown])
+    with pytest.warns(GeoaimWarning, match="stand, and come or go nevertheless"):
+        check_standing(part)
+
+
+def test_frames_that_lie_on_no_map_are_said(junction):
+    matrices = np.full((5, 3, 3), np.nan)
+    matrices[:2] = np.eye(3)
+    with pytest.warns(GeoaimWarning, match="only 40% of the frames lie on the map"):
+        tracking._warn_of_lost_frames(SimpleNamespace(world_from_frame=matrices))
 
 
 def test_pictures_a_second_apart_are_followed_as_they_are_and_judged(video, tmp_path):

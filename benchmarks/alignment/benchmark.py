@@ -115,10 +115,10 @@ def _compare_methods(
 def _measure_method(
     name: str, method: Method, cases: list[Pair], others: list[Pair]
 ) -> dict[str, Any]:
-    measured = np.array([_measure_case(case, method) for case in cases])
+    measured = np.array([measure_pair(case, method) for case in cases])
     errors, bounds, durations = measured.T
     answered = np.isfinite(errors)
-    accepted = sum(np.isfinite(_measure_case(case, method)[0]) for case in others)
+    accepted = sum(np.isfinite(measure_pair(case, method)[0]) for case in others)
     median = float(np.median(np.where(answered, errors, np.inf)))
     inside = 100 * float((errors < bounds)[answered].mean()) if np.isfinite(bounds).any() else None
     return {
@@ -135,7 +135,7 @@ def _measure_method(
     }
 
 
-def _measure_case(pair: Pair, method: Method) -> tuple[float, float, float]:
+def measure_pair(pair: Pair, method: Method) -> tuple[float, float, float]:
     """Error and uncertainty in pixels of the picture, NaN where refused; and seconds."""
     start = time.process_time()
     try:

@@ -5,7 +5,7 @@ r"""Errors and stated regions of mosaics whose parts are displaced, and of chain
 Two orthophotos: a made place on another day by another sensor, and the orthophoto of Songdo
 (`GEOAIM_DATA`), darkened, blurred and with noise, at 0.4 m a pixel. Their halves, quarters or
 stripes are displaced by 0.5 to 6 m each in any direction, as several files or as one, and aligned
-by an AIM or by tracks. A chain aligns a picture to an AIM that is off within what it states, and
+by an AIM. A chain aligns a picture to an AIM that is off within what it states, and
 another picture to the first. Choices were made on the
 seeds 1, 5, 11 and 12; the seed 13 was judged once.
 """
@@ -29,19 +29,11 @@ from geoaim.aim.aim import AIM
 from geoaim.aim.position import CHI2_2D, read_position_covariance, state_position
 from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import transform_points, translation
-from geoaim.imagery.alignment.evidence import (
-    AimEvidence,
-    Evidence,
-    TracksEvidence,
-    align_mosaic,
-    place_mosaic,
-    weigh_part,
-)
+from geoaim.imagery.alignment.evidence import AimEvidence, align_mosaic, place_mosaic, weigh_part
 from geoaim.imagery.alignment.parts import Part
 from geoaim.imagery.alignment.result import Prior
 from geoaim.imagery.mosaic import Mosaic, read_imagery
 from geoaim.tracks.formats import read_geotrax
-from geoaim.tracks.tracks import Tracks
 
 LAYOUTS = {"halves": (1, 2), "quarters": (2, 2), "stripes": (1, 4)}  # rows and columns of parts
 MIN_SHIFT_M, MAX_SHIFT_M = 0.5, 6.0
@@ -54,18 +46,17 @@ SONGDO_RESOLUTION = 0.4  # m a pixel
 
 
 class TestPlace(NamedTuple):
-    """A place: its AIM, another picture of it where it truly lies, and tracks."""
+    """A place: its AIM, and another picture of it where it truly lies."""
 
     name: str
     aim: AIM
     picture: AIM
-    tracks: Tracks | None
 
 
 def make_grounds() -> Iterator[TestPlace]:
     """Make the place, and read that of Songdo if there is real data."""
     pair = next(make_pairs(1))
-    yield TestPlace("made", pair.aim, pair.picture, pair.tracks)
+    yield TestPlace("made", pair.aim, pair.picture)
     data = find_data()
     if data is not None:
         folder = data / "tracks/songdo_u"
@@ -79,7 +70,7 @@ def make_grounds() -> Iterator[TestPlace]:
         coarse = read_imagery(
             path, world=tracks.world, corners=corners, resolution=SONGDO_RESOLUTION
         )
-        yield TestPlace("songdo", aim, _degrade(coarse), tracks)
+        yield TestPlace("songdo", aim, _degrade(coarse))
 
 
 def _degrade(picture: AIM) -> AIM:
@@ -125,7 +116,7 @@ def measure_mosaics(cases: int, seed: int) -> Iterator[dict[str, Any]]:
     for case in range(cases):
         ground = grounds[case % len(grounds)]
         name = list(LAYOUTS)[case // 2 % 3]
-        by_tracks, one_file = case // 12 % 4 == 3 and ground.tracks is not None, case // 6 % 2 == 1
+        one_file = case // 6 % 2 == 1
         count = int(np.prod(LAYOUTS[name]))
         angles = generator.uniform(0, 2 * np.pi, count)
         lengths = generator.uniform(MIN_SHIFT_M, MAX_SHIFT_M, count)
@@ -133,16 +124,15 @@ def measure_mosaics(cases: int, seed: int) -> Iterator[dict[str, Any]]:
         picture, labels = displace_parts(ground.picture, LAYOUTS[name], shifts)
         names = tuple(f"{number}.tif" for number in range(1, count + 1))
         mosaic = Mosaic(picture, None if one_file else labels, names)
-        evidence: Evidence = AimEvidence(ground.aim, PRIOR)
-        if by_tracks and ground.tracks is not None:
-            evidence = TracksEvidence(ground.tracks, PRIOR)
-        row = {"ground": ground.name, "layout": name, "by": evidence.name, "one file": one_file}
-        yield row | _judge_mosaic(mosaic, evidence, labels, shifts)
+        evidence = AimEvidence(ground.aim, PRIOR)
+        row = {"ground": ground.name, "layout": name, "one file": one_file}
+        yield row | judge_mosaic(mosaic, evidence, labels, shifts)
 
 
-def _judge_mosaic(
-    mosaic: Mosaic, evidence: Evidence, labels: UInt16[Array, "H W"], shifts: Float[Array, "n 2"]
+def judge_mosaic(
+    mosaic: Mosaic, evidence: AimEvidence, labels: UInt16[Array, "H W"], shifts: Float[Array, "n 2"]
 ) -> dict[str, Any]:
+    """Align a mosaic; errors of its true parts (m), and the shares inside their regions."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -227,14 +217,14 @@ def _misplace(aim: AIM, shift: Float[Array, "2"]) -> AIM:
 
 
 def summarize_mosaics(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Summarize mosaics by evidence and by whether their files are known."""
-    groups: dict[tuple[str, str], list[Row]] = {}
+    """Summarize mosaics by whether their files are known."""
+    groups: dict[str, list[Row]] = {}
     for row in rows:
-        key = row["by"], "one file" if row["one file"] else "a file for each part"
-        groups.setdefault(key, []).append(row)
+        files = "one file" if row["one file"] else "a file for each part"
+        groups.setdefault(files, []).append(row)
     return [
-        {"by": by, "files": files, "mosaics": len(group), **_summarize_parts(group)}
-        for (by, files), group in sorted(groups.items())
+        {"files": files, "mosaics": len(group), **_summarize_parts(group)}
+        for files, group in sorted(groups.items())
     ]
 
 

@@ -62,7 +62,7 @@ def write_days(pictures: Path, street: Path, folder: Path) -> Path:
     return folder / "table.csv"
 
 
-def measure_apart(day: AIM, first: AIM) -> Float[Array, "n 2"]:
+def measure_distances(day: AIM, first: AIM) -> Float[Array, "n 2"]:
     """Measure how far a map lies from another one, in its parts that have features, metres."""
     image = resample(day, first.grid)
     sift = cv2.SIFT_create(20_000)  # type: ignore[attr-defined]
@@ -98,7 +98,7 @@ def measure_days(table: Path, maps: Path) -> list[Row]:
             day = read_aim(maps / f"recordings/{name}/aim.tif")
             assert day.world == first.world
             covariance = np.array(position["relative_covariance_m2"])
-            apart = measure_apart(day, first)
+            apart = measure_distances(day, first)
             inside = np.einsum("ni,ij,nj->n", apart, np.linalg.inv(covariance), apart) < CHI2_2D
             row |= {
                 "stated, m (95 %)": round(float(np.sqrt(CHI2_2D * covariance.max())), 3),

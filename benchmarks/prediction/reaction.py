@@ -23,7 +23,7 @@ from benchmarks.prediction.places import Places, make_drawn_scene
 from benchmarks.prediction.results import Workspace
 from benchmarks.results import describe_machine, write_json
 from geoaim.base.files import atomic_files
-from geoaim.prediction.baselines import BASELINES, Predictor
+from geoaim.prediction.baselines import BASELINES, NOISY, Predictor
 from geoaim.prediction.checkpoints import read_model, read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.controllers import follow
@@ -56,7 +56,6 @@ MAX_CASES = 24  # followers of each place
 MIN_SPEED_MPS, MIN_WAY = 5.0, 0.7  # of followers; their recorded way, as a share of speed x time
 LEADER_SIZE_M = (4.5, 1.9)
 HORIZONS_S = (3, 5, 8)
-NOISY = "constant velocity with noise"
 CLOSED_STEPS = 200  # for which all vehicles are driven
 HARD_MPS2 = 4.0  # harder braking is counted
 Driver = Callable[[Segments], Float[Tensor, "B K N T 4"]]

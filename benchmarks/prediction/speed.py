@@ -33,7 +33,7 @@ from benchmarks.synthetic.imagery import make_other_day
 from geoaim.aim.aim import AIM
 from geoaim.base.files import atomic_files, write_figure
 from geoaim.base.labels import label_points
-from geoaim.prediction.baselines import BASELINES, Predictor
+from geoaim.prediction.baselines import BASELINES, NOISY, Predictor
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.controllers import follow
 from geoaim.prediction.cutting import cut_segments
@@ -48,7 +48,7 @@ from geoaim.rendering.prefiltering import prefilter_ground
 
 STRIDE = 120  # steps from a piece to the next: 5 pieces a minute
 DEFAULT = "ITRA"
-OTHER_METHODS = ("constant velocity", "constant velocity with noise", "plain network")
+OTHER_METHODS = ("constant velocity", NOISY, "plain network")
 LEARNT_AT = CLOSED_LOOP[:4]  # places of the plain network
 NUMBERS = ("ms an agent", "minADE, m", "joint minADE, m", "collisions, %")
 Row = dict[str, Any]

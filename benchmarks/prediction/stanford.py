@@ -27,7 +27,7 @@ from benchmarks.prediction.windows import (
     read_windows,
 )
 from geoaim.base.progress import Progress
-from geoaim.prediction.baselines import BASELINES, Predictor
+from geoaim.prediction.baselines import BASELINES, NOISY, Predictor
 from geoaim.prediction.config import Config
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.itra import ITRA
@@ -63,7 +63,7 @@ def run(workspace: Workspace) -> list[Path]:
         if name == "map":
             degraded = read_scenes(config, VAL_SCENES, transform=_degrade)
             metrics["map, blurred and noisy"] = _evaluate(predictors, degraded, workspace.progress)
-    for name in ("constant velocity", "constant velocity with noise"):  # headings are not measured
+    for name in ("constant velocity", NOISY):  # headings are not measured
         metrics[name] = _evaluate([BASELINES[name]], val, workspace.progress)
     train_on_scenes("map", names, workspace, label="all scenes")
     return write_results("stanford", metrics, _describe(metrics, val), workspace.results)

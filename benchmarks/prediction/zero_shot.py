@@ -21,8 +21,7 @@ from benchmarks.prediction.results import Metrics, Workspace, compute_difference
 from geoaim.base.defaults import SAMPLES
 from geoaim.base.errors import TracksError
 from geoaim.base.progress import no_progress
-from geoaim.cli.predict import NOISY, compare_with_noise, judge_before
-from geoaim.prediction.baselines import BASELINES, Predictor, replay
+from geoaim.prediction.baselines import BASELINES, NOISY, Predictor, replay
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.controllers import follow
@@ -32,6 +31,7 @@ from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import MIN_SEGMENTS, Metric, concat, keep_rates
 from geoaim.prediction.predict import draw_covering
 from geoaim.prediction.segments import Segments
+from geoaim.prediction.trial import compare_with_noise, judge_before
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.rendering.scene import Scene, slice_scene
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
@@ -63,7 +63,7 @@ def run(workspace: Workspace) -> list[Path]:
         metrics |= {f"{name}, {method}": values for method, values in found.items()}
         if len(found[NOISY]["minADE"].sums) >= MIN_SEGMENTS:
             differences[name] = compute_differences(found["ITRA"], found[NOISY])
-    settings = {"ITRA minus constant velocity with noise": differences}
+    settings = {f"ITRA minus {NOISY}": differences}
     return write_results("zero_shot", metrics, settings, workspace.results)
 
 
@@ -73,7 +73,7 @@ def run_tests_before(workspace: Workspace) -> list[Path]:
     `TESTED_SEGMENTS` and `SAME_SHARE` were chosen on the places of validation.
     """
     rows = []
-    places = _list_tested()
+    places = _list_tested_places()
     for number, (name, read) in enumerate(places.items()):
         workspace.progress("places", number, len(places))
         scenes = read()
@@ -84,7 +84,7 @@ def run_tests_before(workspace: Workspace) -> list[Path]:
     return write_rows("zero_shot_before", {"places": rows}, workspace)
 
 
-def _list_tested() -> Mapping[str, Callable[[], list[Scene]]]:
+def _list_tested_places() -> Mapping[str, Callable[[], list[Scene]]]:
     """List places on which the test before a prediction is judged."""
 
     def read(junction: str) -> list[Scene]:

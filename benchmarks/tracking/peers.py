@@ -145,10 +145,7 @@ def _place(
     """Fill gaps, drop short tracks, and place and difference the boxes."""
     rows = _fill_gaps(rows)
     steps = [rows[rows["step"] == step] for step in range(len(frames))]
-    filled = [
-        DetectedBoxes(part[SIDES].to_numpy(), types=tuple(part["type"]), ids=tuple(part["id"]))
-        for part in steps
-    ]
+    filled = [DetectedBoxes(part[SIDES].to_numpy(), types=tuple(part["type"])) for part in steps]
     placed = place_boxes(filled, world_from_frame, size)
     states = pd.DataFrame(
         {

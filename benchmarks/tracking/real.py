@@ -23,7 +23,7 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.tracking import track_boxes
 from geoaim.tracking.report import find_unknown_headings
 from geoaim.tracks.formats import read_geotrax
-from geoaim.tracks.formats.geotrax import FRAME_RATE
+from geoaim.tracks.formats.geotrax import FRAME_RATE, PIXEL_COLUMNS, VEHICLE_CLASSES
 from geoaim.tracks.tracks import Tracks
 
 FOLDER, NAME = "tracks/songdo_u", "U_video_cut"
@@ -37,7 +37,14 @@ def measure_songdo(folder: Path, stride: int = 1) -> dict[str, Any]:
     """Measure the tracks of Songdo's boxes, of every so many frames, against the dataset's own."""
     own = read_geotrax(folder / f"{NAME}.csv", crs="EPSG:5186")
     world_from_frame = _read_transforms(folder, own)
-    read = read_detections(folder / f"{NAME}.txt")
+    columns = {"frame": "frame", "x": "u", "y": "v", "width": "du", "height": "dv"}
+    read = read_detections(
+        pd.read_csv(folder / f"{NAME}.txt", names=PIXEL_COLUMNS, usecols=range(14)),
+        columns=columns,
+        classes=[f"{number}={name}" for number, name in VEHICLE_CLASSES.items()],
+        form="xywh",
+        first=0,
+    )
     times = np.arange(len(world_from_frame)) / FRAME_RATE
     own_count = _count_states(own, times[::stride])
     empty = np.broadcast_to(np.uint8(0), SIZE)

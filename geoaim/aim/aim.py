@@ -13,7 +13,7 @@ from geoaim.aim.position import bind_report
 from geoaim.aim.summary import summarize_report
 from geoaim.base.displays import Display
 from geoaim.base.errors import AimError
-from geoaim.base.geometry import image_corners, transform_points, translation
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.grid import Grid
 from geoaim.base.limits import MAX_POSITION_M
 from geoaim.base.world import World, describe_world
@@ -75,7 +75,7 @@ class AIM(Display):
             from geoaim.aim.rectification import rectify  # which imports this module
 
             aim = rectify(self)
-        crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
+        crs_from_image = aim.grid.crs_from_grid
         height, width = aim.coverage.shape
         x = crs_from_image[0, 0] * (np.arange(width) + 0.5) + crs_from_image[0, 2]
         y = crs_from_image[1, 1] * (np.arange(height) + 0.5) + crs_from_image[1, 2]

@@ -5,7 +5,6 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 from mmap import mmap
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,12 +36,12 @@ from geoaim.base.limits import check_memory, refuse_damaged
 from geoaim.base.raster_files import create_raster_file, open_raster_file
 from geoaim.base.world import World
 
-FORMAT = FileFormat("AIM", 1, 3, first_checked=2, error=AimError, editable=True)
+FORMAT = FileFormat("AIM", 3, 3, first_checked=3, error=AimError, editable=True)
 BYTES_PER_PIXEL = 12  # memory needed to read an AIM
 BANDS = ("red", "green", "blue")
-DOUBT_BANDS = ("coverage", "contested")  # of the second GeoTIFF, since format 3
-EARLIER_BANDS = (*BANDS, "alpha", "contested", "coverage, low byte", "coverage, high byte")
+DOUBT_BANDS = ("coverage", "contested")  # of the second GeoTIFF
 DOUBT_ADDRESS = "/vsisubfile/{:012d},"  # GDAL's name of what follows that many bytes of a file
+DOUBT_PLACEHOLDER = DOUBT_ADDRESS.format(0)
 
 
 class OpenAIM(NamedTuple):
@@ -51,8 +50,8 @@ class OpenAIM(NamedTuple):
     The readers take rasterio's options of a part and its size, `window` and `out_shape` (h, w).
     """
 
-    dataset: Any  # of rasterio: the image, and in files before format 3 all else
-    doubt: Any  # of rasterio: coverage and contested; None: earlier, or another program left it out
+    dataset: Any  # of rasterio: the image
+    doubt: Any  # of rasterio: coverage and contested; None: another program left it out
     grid: Grid  # with the world
     report: dict[str, Any]
 
@@ -68,20 +67,15 @@ class OpenAIM(NamedTuple):
 
     def read_coverage(self, **part: Any) -> UInt16[Array, "h w"]:
         """Read the number of frames behind each pixel."""
-        if self.doubt is not None:
-            return np.asarray(self.doubt.read(1, **part))
-        if self.dataset.count < len(EARLIER_BANDS):
+        if self.doubt is None:
             return self.read_mask(**part).astype(np.uint16)
-        low, high = (self.dataset.read(band, **part).astype(np.uint16) for band in (6, 7))
-        return np.asarray(low + high * 256)
+        return np.asarray(self.doubt.read(1, **part))
 
     def read_contested(self, **part: Any) -> Bool[Array, "h w"]:
         """Read where the frames do not determine the ground."""
-        if self.doubt is not None:
-            return np.asarray(self.doubt.read(2, **part) > 0)
-        if self.dataset.count < len(EARLIER_BANDS):
+        if self.doubt is None:
             return np.zeros_like(self.read_mask(**part))
-        return np.asarray(self.dataset.read(5, **part) > 127)
+        return np.asarray(self.doubt.read(2, **part) > 0)
 
 
 def write_aim(aim: AIM, path: str | os.PathLike[str]) -> None:
@@ -133,7 +127,7 @@ def read_aim(path: str | os.PathLike[str]) -> AIM:
         height, width = file.grid.shape
         claim = f"{height} x {width} pixels"
         check_memory(path, BYTES_PER_PIXEL * height * width, os.path.getsize(path), AimError, claim)
-        if file.doubt is None and file.dataset.count < len(EARLIER_BANDS):
+        if file.doubt is None:
             warn(
                 f"{path} was written anew by another program, which leaves out how many frames are "
                 "behind each pixel and which ones are contested: it is read as if every pixel were "
@@ -176,11 +170,7 @@ def open_aim(path: str | os.PathLike[str]) -> Iterator[OpenAIM]:
         world = World(crs=frame["world"]["crs"], origin=tuple(frame["world"]["origin"]))
         transform = _read_transform(dataset, world, frame, path)
         grid = Grid((dataset.height, dataset.width), transform, world)
-        report = dict(json.loads(dataset.tags().get("GEOAIM_REPORT", "{}")))
-        if "place" not in report:  # written before reports were bound to their places
-            written = np.array(frame["world_from_image"], np.float64)
-            report = bind_report(report, replace(grid, world_from_grid=written))
-        report = bind_report(report, grid)
+        report = bind_report(dict(json.loads(dataset.tags().get("GEOAIM_REPORT", "{}"))), grid)
         with _open_doubt(dataset, path) as doubt:
             yield OpenAIM(dataset, doubt, grid, report)
 
@@ -202,7 +192,6 @@ def _open_doubt(dataset: Any, path: str | os.PathLike[str]) -> Iterator[Any]:
 def _make_profile(aim: AIM, dtype: str, count: int) -> dict[str, Any]:
     """The profile of rasterio of a cloud-optimised, lossless GeoTIFF."""
     height, width = aim.coverage.shape
-    crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
     return {
         "driver": "COG",
         "height": height,
@@ -210,7 +199,7 @@ def _make_profile(aim: AIM, dtype: str, count: int) -> dict[str, Any]:
         "dtype": dtype,
         "count": count,
         "crs": aim.world.crs,
-        "transform": rasterio.Affine(*crs_from_image[:2].flat),
+        "transform": rasterio.Affine(*aim.grid.crs_from_grid[:2].flat),
         "compress": "deflate",
         "level": 1,  # half the time of GDAL's 6, and files of a video's map are 6 % larger
         "predictor": "yes",
@@ -245,8 +234,8 @@ def _append_doubt(path: Path, aim: AIM) -> None:
         dataset.write(np.stack([aim.coverage, aim.contested * np.uint16(255)]))
         dataset.descriptions = DOUBT_BANDS
     with path.open("r+b") as file, mmap(file.fileno(), start) as data:
-        place = data.find(DOUBT_ADDRESS.format(0).encode())
-        data[place : place + len(DOUBT_ADDRESS.format(0))] = DOUBT_ADDRESS.format(start).encode()
+        place = data.find(DOUBT_PLACEHOLDER.encode())
+        data[place : place + len(DOUBT_PLACEHOLDER)] = DOUBT_ADDRESS.format(start).encode()
 
 
 def _write_tags(dataset: Any, aim: AIM) -> None:
@@ -257,7 +246,7 @@ def _write_tags(dataset: Any, aim: AIM) -> None:
     }
     dataset.update_tags(
         GEOAIM=json.dumps(frame),
-        GEOAIM_DOUBT=DOUBT_ADDRESS.format(0),
+        GEOAIM_DOUBT=DOUBT_PLACEHOLDER,
         GEOAIM_REPORT=json.dumps(aim.report),
         GEOAIM_CHECKSUM=PLACEHOLDER,
     )
@@ -275,11 +264,10 @@ def _read_frame(dataset: Any, path: str | os.PathLike[str], has_checksum: bool) 
         )
     frame: dict[str, Any] = json.loads(tag)
     check_version(path, frame.get("format"), FORMAT, has_checksum=has_checksum)
-    bands = BANDS if frame["format"] >= 3 else EARLIER_BANDS
-    found = dataset.descriptions[: len(bands)]  # programs make an alpha band of a mask
-    if found != bands or set(dataset.dtypes) != {"uint8"}:
+    found = dataset.descriptions[: len(BANDS)]  # programs make an alpha band of a mask
+    if found != BANDS or set(dataset.dtypes) != {"uint8"}:
         raise AimError(
-            f"{path} was an AIM and has lost bands: found {content}, needed uint8 {bands}"
+            f"{path} was an AIM and has lost bands: found {content}, needed uint8 {BANDS}"
         )
     return frame
 

@@ -15,7 +15,7 @@ from numpy import ndarray as Array
 from scipy.special import chdtri
 
 from geoaim.base.errors import AimError
-from geoaim.base.geometry import image_corners, transform_points, translation
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.grid import Grid
 from geoaim.base.world import World, parse_crs
 
@@ -49,28 +49,17 @@ def state_position(
 def read_position_covariance(report: Report) -> Float[Array, "2 2"] | None:
     """Read the covariance of a point of a map in the world from its report, square metres.
 
-    Reports of earlier versions state it by their alignment or georeference.
-
     Returns:
         (2, 2) east and north; None where the report does not state it, or the map was moved since.
 
     >>> read_position_covariance({"source": "ortho.tif"}) is None
     True
     """
-    if "position" in report:
-        return _read_covariance(report["position"]["covariance_m2"])
-    for entry in report.get("alignment", {}).values():
-        if "checked" not in entry and "covariance_m2" in entry:
-            return _read_covariance(entry["covariance_m2"])
-    if "georeference" in report:
-        bounds = np.array(report["georeference"]["corner_uncertainty_m"], float)
-        return np.eye(2) * np.mean(bounds**2) / CHI2_2D
-    return None
+    stated = report.get("position", {}).get("covariance_m2")
+    return None if stated is None else _read_covariance(stated)
 
 
-def _read_covariance(value: Any) -> Float[Array, "2 2"] | None:
-    if value is None:
-        return None
+def _read_covariance(value: Any) -> Float[Array, "2 2"]:
     covariance = np.array(value, float)
     if covariance.shape != (2, 2) or not np.isfinite(covariance).all():
         raise AimError(f"a covariance is {value!r}; two rows of two numbers are needed")
@@ -141,9 +130,8 @@ def _to_list(covariance: Float[Array, "2 2"] | None) -> list[list[float]] | None
 def _describe_place(grid: Grid) -> dict[str, Any]:
     """The size of a grid, and its transform from pixels to coordinates of its CRS."""
     world = grid.world or World(None)
-    crs_from_image = translation(*world.origin) @ grid.world_from_grid
     size = {"height": grid.height, "width": grid.width}
-    return {"crs": world.crs, "crs_from_image": crs_from_image.tolist(), **size}
+    return {"crs": world.crs, "crs_from_image": grid.crs_from_grid.tolist(), **size}
 
 
 def _check_place(place: Any) -> None:

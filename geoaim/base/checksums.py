@@ -91,9 +91,11 @@ def check_version(
     """
     name, oldest, newest = file_format.name, file_format.oldest, file_format.newest
     if not isinstance(stated, int) or not oldest <= stated <= newest:
+        known = f"{newest}" if oldest == newest else f"{oldest} to {newest}"
+        by = " (of a map by `geoaim build`)" if name == "AIM" else ""
         raise file_format.error(
-            f"{path} has {name} format {stated}; this version reads {oldest} to {newest}: make it "
-            "again with this version, or read it with a later one"
+            f"{path} has {name} format {stated}; this version reads {known}: make it again with "
+            f"this version{by}, or read it with a later one"
         )
     if has_checksum:
         return

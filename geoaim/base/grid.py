@@ -38,6 +38,12 @@ class Grid:
         return np.linalg.inv(self.world_from_grid)
 
     @property
+    def crs_from_grid(self) -> Float[Array, "3 3"]:
+        """Pixels to coordinates of the world's CRS."""
+        origin = (0.0, 0.0) if self.world is None else self.world.origin
+        return translation(*origin) @ self.world_from_grid
+
+    @property
     def corners(self) -> Float[Array, "4 2"]:
         """Coordinates of the corners: top-left, top-right, bottom-right, bottom-left."""
         return transform_points(self.world_from_grid, image_corners(*self.shape))

@@ -24,7 +24,6 @@ from geoaim.base.errors import (
     GeoreferenceError,
     warn,
 )
-from geoaim.base.geometry import translation
 from geoaim.base.progress import Progress, no_progress
 from geoaim.base.world import lonlat_from_world
 from geoaim.catalog.days import collect_tracks, draw_changes, place_day
@@ -272,14 +271,13 @@ def find_datetime(stated: str | None, address: str, path: Path) -> tuple[str, st
 def describe_grid(aim: AIM) -> Mapping[str, Any]:
     """Describe the grid of a map: its CRS, shape, transform, resolution and corners in degrees."""
     height, width = aim.coverage.shape
-    crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
     corners = None
     if aim.world.crs is not None:
         corners = np.round(lonlat_from_world(aim.world, aim.corners), 8).tolist()
     return {
         "crs": aim.world.crs,
         "shape": [height, width],
-        "transform": crs_from_image[:2].ravel().tolist(),
+        "transform": aim.grid.crs_from_grid[:2].ravel().tolist(),
         "resolution_m": aim.resolution,
         "corners_lonlat": corners,
     }

@@ -27,8 +27,7 @@ def track(
         ),
     ] = None,
     columns: Annotated[
-        str | None,
-        typer.Option(help="columns of a .csv, such as frame=frame,id=track,x=u_px,y=v_px"),
+        str | None, typer.Option(help="columns of a .csv, such as frame=frame,x=u_px,y=v_px")
     ] = None,
     rate: Annotated[
         float | None,

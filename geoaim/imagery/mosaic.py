@@ -8,6 +8,7 @@ aim = read_imagery(["ortho.tif", service], world=aim.world, corners=aim.corners)
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -139,14 +140,21 @@ def read_mosaic(
     **options: Unpack[ReadOptions],
 ) -> Mosaic:
     """Read imagery, and tell which part each pixel comes from."""
+    _check_region(world, corners)
+    region = None if corners is None or world is None else make_region(world, corners)
+    with _fetch(list_sources(sources), region, options.get("resolution")) as listed:
+        return _read_files(listed, world, region, options)
+
+
+@contextmanager
+def _fetch(
+    listed: Iterable[Any], region: Region | None, resolution: float | None
+) -> Iterator[list[Source]]:
+    """Fetch what lies elsewhere into a folder of its own; errors call it by its own name."""
     with TemporaryDirectory(prefix="geoaim-") as folder:
-        _check_region(world, corners)
-        region = None if corners is None or world is None else make_region(world, corners)
-        wanted = options.get("resolution")
-        listed = fetch_parts(list_sources(sources), Path(folder), region, wanted)
         try:
-            return _read_files(listed, world, region, options)
-        except ImageryError as error:  # what was fetched is called by its own name
+            yield fetch_parts(listed, Path(folder), region, resolution)
+        except ImageryError as error:
             fetched = rf"{re.escape(folder)}[/\\]\d+[/\\]"
             raise ImageryError(re.sub(fetched, "", str(error))) from error
 
@@ -155,39 +163,49 @@ def _read_files(
     listed: Sequence[Source], world: World | None, region: Region | None, options: ReadOptions
 ) -> Mosaic:
     """Read files, folders and services, with the options of `read_imagery`."""
-    resolution, bands = options.get("resolution"), options.get("bands")
+    _check_options(listed, options)
     nodata = options.get("nodata")
+    given: dict[str, Any] = {**options, "nodata": None if nodata == "none" else nodata}
+    layers = [describe_source(source, region, **given) for source in listed]
+    if region is None:
+        with name_file(", ".join(layer.name for layer in layers)):
+            region = enclose_outlines([line for layer in layers for line in layer.outlines], world)
+    layers = _select_layers(layers, region)
+    measured = [_measure_source(layer, region) for layer in layers]
+    finest = float(f"{min(source.resolution for source in measured):.4g}")
+    resolution = options.get("resolution") or finest
+    mosaic = _compose(measured, region, resolution)
+    if nodata is None:
+        mosaic = _hide_collars(mosaic, layers)
+    mosaic = _keep_position(mosaic, measured)
+    _warn_of_upsampling(measured, resolution)
+    return mosaic
+
+
+def _check_options(listed: Sequence[Source], options: ReadOptions) -> None:
+    resolution, bands = options.get("resolution"), options.get("bands")
     if not listed:
         raise ValueError("no source of imagery was given: name at least one")
     if resolution is not None and not (np.isfinite(resolution) and resolution > 0):
         raise ValueError(f"resolution must be a positive number of metres, found {resolution}")
     if bands is not None and len(bands) not in (1, 3):
         raise ValueError(f"bands must be one for grey or three for RGB, found {list(bands)}")
-    value = None if nodata == "none" else nodata
-    given: dict[str, Any] = {**options, "nodata": value}
-    layers = [describe_source(source, region, **given) for source in listed]
-    if region is None:
-        with name_file(", ".join(layer.name for layer in layers)):
-            region = enclose_outlines([line for layer in layers for line in layer.outlines], world)
-    layers = _select_layers(layers, region)
-    points = {raster.crs: region.to_crs(raster.crs) for layer in layers for raster in layer.rasters}
-    measured = [
-        _Source(
-            layer,
-            min(measure_resolution(raster, region) for raster in layer.rasters),
-            resampling.estimate_stretch(layer.rasters, points),
-        )
-        for layer in layers
-    ]
-    finest = float(f"{min(source.resolution for source in measured):.4g}")
-    mosaic = _compose(measured, region, resolution or finest)
+
+
+def _measure_source(layer: Layer, region: Region) -> _Source:
+    """Measure a layer's finest resolution in a region, and how its contrast is stretched."""
+    points = {raster.crs: region.to_crs(raster.crs) for raster in layer.rasters}
+    resolution = min(measure_resolution(raster, region) for raster in layer.rasters)
+    return _Source(layer, resolution, resampling.estimate_stretch(layer.rasters, points))
+
+
+def _hide_collars(mosaic: Mosaic, layers: Sequence[Layer]) -> Mosaic:
+    """Take plain white or black at the edge for empty, where a file does not say what is."""
     rasters = [raster for layer in layers for raster in layer.rasters]
-    if nodata is None and not all(x.masked or x.dtype != "uint8" for x in rasters):
-        name = ", ".join(layer.name for layer in layers if layer.zoom is None)
-        mosaic = mosaic._replace(aim=hide_collars(mosaic.aim, name or None))
-    mosaic = _keep_position(mosaic, measured)
-    _warn_of_upsampling(measured, resolution or finest)
-    return mosaic
+    if all(raster.masked or raster.dtype != "uint8" for raster in rasters):
+        return mosaic
+    name = ", ".join(layer.name for layer in layers if layer.zoom is None)
+    return mosaic._replace(aim=hide_collars(mosaic.aim, name or None))
 
 
 def read_lonlat(
@@ -201,8 +219,7 @@ def read_lonlat(
                 outlines.append(outline_dataset(dataset))
         else:
             listed.append(source)
-    with TemporaryDirectory(prefix="geoaim-") as folder:
-        files = fetch_parts(listed, Path(folder), None, None)
+    with _fetch(listed, None, None) as files:
         layers = [describe_source(source, None, crs=crs) for source in files]
     outlines += [outline for layer in layers for outline in layer.outlines]
     return np.concatenate([transform_crs(own, LONLAT, points) for own, points in outlines])

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from geoaim.mapping.registration.register import register as register
     from geoaim.mapping.registration.register import write_registration as write_registration
     from geoaim.mapping.texture import export_texture as export_texture
+    from geoaim.mapping.video.detections import DetectedBoxes as DetectedBoxes
     from geoaim.mapping.video.detections import read_detections as read_detections
     from geoaim.mapping.video.video import open_video as open_video
 
@@ -29,6 +30,7 @@ _MODULE_OF_NAME = {
     "open_video": "geoaim.mapping.video.video",
     "place_tracks": "geoaim.mapping.georeference.pixel_tracks",
     "read_control_points": "geoaim.mapping.georeference.control_points",
+    "DetectedBoxes": "geoaim.mapping.video.detections",
     "read_detections": "geoaim.mapping.video.detections",
     "register": "geoaim.mapping.registration.register",
     "remove_traffic": "geoaim.mapping.background.traffic_search",

@@ -15,6 +15,7 @@ from geoaim.base.progress import Progress, notebook_progress, report_each
 from geoaim.mapping.background.running_mean import Background, RunningMean, average_frames
 from geoaim.mapping.background.traffic_removal import MIN_FRAMES
 from geoaim.mapping.background.traffic_search import TrafficSearch
+from geoaim.mapping.box_evidence import FRAMES, check_evidence, view_frames
 from geoaim.mapping.georeference.control_points import (
     ControlPoints,
     ControlPointSource,
@@ -38,6 +39,7 @@ from geoaim.mapping.report import (
 )
 from geoaim.mapping.sampling import FrameCount, Sample, sample_video, select_registered_frames
 from geoaim.mapping.video.detections import (
+    BoxReader,
     DetectedBoxes,
     Detections,
     DetectionSource,
@@ -105,7 +107,8 @@ def build_aim(
         raise ValueError(f"crs is {crs}, but there are no control points to transform to it")
     opened = open_video(video)
     sample = sample_video(opened, frames)
-    vehicles = None if detections is None else _remember(read_detections(detections, video=opened))
+    found = None if detections is None else read_detections(detections, video=opened)
+    vehicles = None if found is None else _remember(found)
     given = gcps if gcps is None or isinstance(gcps, Georeference) else read_control_points(gcps)
     photos = opened.names is not None
     try:
@@ -126,6 +129,8 @@ def build_aim(
         problem, *otherwise = error.args  # what helps where the camera never hovers
         raise RegistrationError(f"{problem}{cut or ''.join(otherwise)}") from error
     _warn_of_limits(registration, background, photos=photos, has_boxes=vehicles is not None)
+    if isinstance(found, BoxReader):  # what is asked of any frame without its picture
+        _check_boxes(opened, registration, background, found)
     if not photos:
         _warn_of_other_views(registration, lambda: _advise_cut(opened, sample))
     background = remove_distortion(background, georeference.radial)
@@ -308,6 +313,28 @@ def _warn_of_other_views(
         )
     if found:
         warn("; ".join(found) + advise_cut())
+
+
+def _check_boxes(
+    video: Video, registration: register.Registration, background: Background, boxes: BoxReader
+) -> None:
+    """Warn of boxes that do not lie on what differs from the background."""
+    valid = registration.valid
+    index, place = registration.index[valid], registration.reference_from_frame[valid]
+    chosen = np.unique(np.linspace(0, len(index) - 1, FRAMES).round().astype(int))
+    frames = list(video.frames_at(registration.time[valid][chosen]))
+    # late boxes are told by those of the frames between; the camera moves evenly there
+    numbers = np.arange(index[0], index[-1] + 1)
+    places = [np.interp(numbers, index, values) for values in place.reshape(-1, 9).T]
+    matrices = dict(zip(numbers.tolist(), np.stack(places, 1).reshape(-1, 3, 3), strict=True))
+    known: dict[int, DetectedBoxes | None] = {}
+    for number in numbers.tolist():
+        name = None if video.names is None else video.names[number]
+        at = replace(frames[0], index=number, time=video.find_time(number), name=name)
+        known[number] = boxes(at)
+    grey = np.asarray(cv2.cvtColor(background.image, cv2.COLOR_RGB2GRAY), np.uint8)
+    views = view_frames(frames, matrices, grey, background.coverage > 0)
+    check_evidence(views, known, matrices, (video.width, video.height), video.listed.rate)
 
 
 def _describe_method(

@@ -20,7 +20,6 @@ from geoaim.aim.texture_files import (
 )
 from geoaim.base.checksums import PLACEHOLDER, write_checksum
 from geoaim.base.files import atomic_files, atomic_write, check_not_foreign, lock_folder
-from geoaim.base.geometry import translation
 
 PLACE_FILES = ("texture.pgw", "texture.png.aux.xml")  # by which GIS programs place the picture
 
@@ -74,7 +73,7 @@ def export_texture(
 
 def _describe_place(aim: AIM) -> tuple[str, str]:
     """Describe a picture's place for GIS programs: a world file, and its CRS in a .aux.xml."""
-    crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
+    crs_from_image = aim.grid.crs_from_grid
     first = crs_from_image @ [0.5, 0.5, 1.0]  # world files place the centre of the first pixel
     numbers = [*crs_from_image[:2, :2].T.ravel(), *first[:2]]
     crs = "" if aim.world.crs is None else f"<SRS>{escape(aim.world.crs)}</SRS>"

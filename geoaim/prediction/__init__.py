@@ -26,6 +26,7 @@ from geoaim.prediction.predict import predict
 from geoaim.prediction.rollouts import Rollout
 from geoaim.prediction.segments import Segments
 from geoaim.prediction.training import init_model, learn_place, train
+from geoaim.prediction.trial import describe_trial, judge_before
 
 __all__ = [
     "BASELINES",
@@ -48,8 +49,10 @@ __all__ = [
     "configure_fine_tuning",
     "configure_training",
     "cut_segments",
+    "describe_trial",
     "evaluate",
     "init_model",
+    "judge_before",
     "learn_place",
     "make_dataset",
     "make_traffic",

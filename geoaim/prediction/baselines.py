@@ -15,6 +15,7 @@ from geoaim.rendering.ground import Ground
 from geoaim.simulation.simulator import Policy, constant_turn_rate, constant_velocity, rollout
 
 HEADING_NOISE_RAD, SPEED_NOISE = 0.3, 0.3  # standard deviations; of speed, as a share of it
+NOISY = "constant velocity with noise"
 
 
 @runtime_checkable
@@ -110,6 +111,6 @@ def replay(
 
 BASELINES: Mapping[str, Predictor] = {
     "constant velocity": partial(_predict_with_policy, constant_velocity),
-    "constant velocity with noise": _predict_with_noise,
+    NOISY: _predict_with_noise,
     "constant turn rate": partial(_predict_with_policy, constant_turn_rate),
 }

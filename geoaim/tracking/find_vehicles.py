@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
@@ -20,6 +20,7 @@ from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.tracking.association import Tracklets
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_detections import GroundDetections, select_detections
+from geoaim.tracking.shadows import DARK, DarkBoxes, find_dark_boxes, find_shadows
 from geoaim.tracks.formats.shared import MAX_CAR_LENGTH_M
 
 # frames per second that are searched: of videos with real cars as many vehicles are followed as by
@@ -82,7 +83,7 @@ def search_frames(
     resolution = Grid(size, matrices[chosen[0]], aim.world).resolution
     _check(poses, resolution)
     ground, wanted = _Ground.of(aim), set(chosen)
-    found: dict[int, DetectedBoxes] = {}
+    found: dict[int, _Found] = {}
     for frame in video.read_all():
         if frame.index in wanted:
             image = resample(frame.image, resolution)
@@ -93,9 +94,17 @@ def search_frames(
             peaks = join_peaks([seen, find_peaks(change, LOWEST)])
             inside = _sample_inside(peaks)
             odds = _weigh(peaks, inside, excess, len(seen.logits))
-            found[frame.index] = _choose(peaks, inside, odds, shrink)
+            peaks, odds = _pick_likely(peaks, odds)
+            is_dark = _find_dark(_sample_inside(peaks), image, change)
+            beside = find_dark_boxes(peaks, is_dark, np.linalg.inv(image_from_world))
+            found[frame.index] = _Found(peaks, odds, shrink, beside)
             progress("find vehicles", len(found), len(chosen))
-    return [found.get(index) for index in matrices]
+    shadows = find_shadows([own.dark for own in found.values()])
+    boxes = {
+        index: _choose(own, np.delete(np.arange(len(own.odds)), shadow))
+        for (index, own), shadow in zip(found.items(), shadows, strict=True)
+    }
+    return [boxes.get(index) for index in matrices]
 
 
 def _check(poses: FramePoses, resolution: float) -> None:
@@ -111,6 +120,16 @@ def _check(poses: FramePoses, resolution: float) -> None:
             f"the frames are registered to {sigma:.2g} m only; up to {MAX_POSE_SIGMA_M} m, "
             "vehicles are told from what stands: give boxes (--detections) or hover"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What may be vehicles in a frame."""
+
+    peaks: Peaks
+    odds: Float[Array, " N"]
+    shrink: Float[Array, "2"]  # pixels of the frame to those of the peaks
+    dark: DarkBoxes  # those that may be shadows
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +174,22 @@ class _Ground:
         return even, known * (1 + largest.astype(np.float32)) / typical
 
 
+def _pick_likely(peaks: Peaks, odds: Float[Array, " N"]) -> tuple[Peaks, Float[Array, " n"]]:
+    """Pick the probable peaks, with their log odds."""
+    likely = np.flatnonzero(odds > np.log(MIN_PROBABILITY / (1 - MIN_PROBABILITY)))
+    return peaks.pick(likely), odds[likely]
+
+
+def _find_dark(
+    inside: Float[Array, "N n 2"], image: UInt8[Array, "H W 3"], change: UInt8[Array, "H W 3"]
+) -> Bool[Array, " N"]:
+    """Find which boxes are dark beside the map, by points inside them."""
+    last = np.array(image.shape[1::-1]) - 1
+    columns, rows = np.moveaxis(inside.clip(0, last).astype(int), 2, 0)
+    grey, differs = (part[rows, columns].mean(axis=2) for part in (image, change))
+    return np.asarray(np.median(grey - DARK * (grey - differs + EVEN), axis=1) < 0)
+
+
 def _weigh(
     peaks: Peaks, inside: Float[Array, "N n 2"], excess: Float32[Array, "H W"], in_frame: int
 ) -> Float[Array, " N"]:
@@ -174,18 +209,16 @@ def _sample_inside(peaks: Peaks) -> Float[Array, "N n 2"]:
     return peaks.centres[:, None] + WITHIN[:, :1] * along + WITHIN[:, 1:] * across
 
 
-def _choose(
-    peaks: Peaks, inside: Float[Array, "N n 2"], odds: Float[Array, " N"], shrink: Float[Array, "2"]
-) -> DetectedBoxes:
-    """Choose the probable peaks, the best of each place, as boxes in pixels of the frame."""
+def _choose(found: _Found, rows: Int[Array, " n"]) -> DetectedBoxes:
+    """Choose the best boxes of each place among some, in pixels of the frame."""
+    peaks, odds = found.peaks.pick(rows), found.odds[rows]
     corners = peaks.get_corners()
-    likely = np.flatnonzero(odds > np.log(MIN_PROBABILITY / (1 - MIN_PROBABILITY)))
-    kept = likely[_find_single(corners[likely], inside[likely], odds[likely])]
+    kept = _find_single(corners, _sample_inside(peaks), odds)
     is_long = peaks.lengths[kept] * RESOLUTION > MAX_CAR_LENGTH_M
     bounds = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
     return DetectedBoxes(
-        bounds[kept] / np.tile(shrink, 2),
-        corners[kept] / shrink,
+        bounds[kept] / np.tile(found.shrink, 2),
+        corners[kept] / found.shrink,
         1 / (1 + np.exp(-odds[kept])),
         tuple(np.where(is_long, "truck", "car").tolist()),
     )

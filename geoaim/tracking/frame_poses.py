@@ -6,13 +6,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
-from geoaim.base.errors import RegistrationError
-from geoaim.base.geometry import to_opencv
+from geoaim.base.errors import RegistrationError, warn
 from geoaim.base.progress import Progress
+from geoaim.mapping.box_evidence import FRAMES, MIN_BOXES, check_evidence, view_frames, view_map
 from geoaim.mapping.registration.features import detect_features, match_features
 from geoaim.mapping.registration.frame_registration import (
     FrameRegistration,
@@ -26,7 +26,6 @@ from geoaim.mapping.registration.rest import check_rest
 from geoaim.mapping.video.detections import DetectedBoxes, Detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video
-from geoaim.tracking.box_evidence import FRAMES, View, check_evidence, compare, shrink
 
 MIN_COVERED = 0.3  # share of the reference frame that the AIM must cover
 
@@ -73,20 +72,22 @@ def _check_boxes(
     video: Video, aim: AIM, poses: FramePoses, boxes: Mapping[int, DetectedBoxes | None]
 ) -> None:
     """Warn of boxes that do not lie on what differs from the map."""
-    grey = np.asarray(cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY), np.uint8)
     known = np.flatnonzero(np.isfinite(poses.world_from_frame).all(axis=(1, 2)))
     rows = known[np.unique(np.linspace(0, len(known) - 1, FRAMES).round().astype(int))]
-    views = []
-    for row, frame in zip(rows, video.frames_at(poses.times[rows]), strict=False):
-        matrix = np.linalg.inv(aim.world_from_image) @ poses.world_from_frame[row]
-        small = shrink(frame.grey)
-        ratio = np.array([*frame.grey.shape[::-1], 1]) / [*small.shape[::-1], 1]
-        view, seen = view_aim(grey, aim.coverage > 0, matrix @ np.diag(ratio), small.shape)
-        if seen.any():
-            views.append(View(frame.index, compare(small, view, seen), seen))
+    frames, index = video.frames_at(poses.times[rows]), poses.registration.index[rows].tolist()
+    map_from_frame = np.linalg.inv(aim.world_from_image) @ poses.world_from_frame[rows]
+    grey = np.asarray(cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY), np.uint8)
+    by_number = dict(zip(index, map_from_frame, strict=True))
+    views = view_frames(frames, by_number, grey, aim.coverage > 0)
     numbers = poses.registration.index.tolist()
     matrices = dict(zip(numbers, poses.registration.reference_from_frame, strict=True))
-    check_evidence(views, boxes, matrices, (video.width, video.height), video.listed.rate)
+    size = video.width, video.height
+    few = check_evidence(views, boxes, matrices, size, video.listed.rate)
+    if few is not None and any(own is not None and len(own.boxes) for own in boxes.values()):
+        warn(
+            f"{few} boxes of what moves on could be compared with the picture; {MIN_BOXES} are "
+            "needed to tell whether boxes are of these frames, which is taken for granted"
+        )
 
 
 def _find_built_reference(video: Video, aim: AIM) -> float | None:
@@ -127,7 +128,7 @@ def place_reference(
             f"the frame at {frame.time:.2f} s does not match the AIM: too few features agree; give "
             "an AIM that is made of this video, or of the same ground in a similar light"
         )
-    view, seen = view_aim(grey, ~hidden, found, size)
+    view, seen = view_map(grey, ~hidden, found, size)
     if seen.mean() < MIN_COVERED:
         raise RegistrationError(
             f"the AIM covers {seen.mean():.0%} of the frame at {frame.time:.2f} s; at least "
@@ -141,18 +142,3 @@ def place_reference(
             "AIM that is made of this video, or of the same ground in a similar light"
         )
     return found @ placement.reference_from_frame, placement
-
-
-def view_aim(
-    image: UInt8[Array, "h w *c"],
-    covered: Array,
-    aim_from_frame: Float[Array, "3 3"],
-    size: tuple[int, int],
-) -> tuple[UInt8[Array, "H W *c"], Array]:
-    """View an AIM's image, grey or RGB, as a frame of that (height, width) does."""
-    matrix = to_opencv(np.linalg.inv(aim_from_frame))
-    view = cv2.warpPerspective(image, matrix, size[::-1], flags=cv2.INTER_LINEAR)
-    known = cv2.warpPerspective(
-        covered.astype(np.uint8), matrix, size[::-1], flags=cv2.INTER_NEAREST
-    )
-    return np.asarray(view, np.uint8), np.asarray(known) > 0

@@ -4,10 +4,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from geoaim.mapping.box_evidence import MIN_BOXES
 from geoaim.tracking.ground_detections import GroundDetections
 
 DEFAULT_NOISE_PX = 2.0  # of a coordinate of a box's middle, where too few detections tell
-MIN_BOXES = 20  # of which a statistic tells something
 SLOW_DT = 0.2  # s; time between frames in which agents accelerate by more than the noise
 # by which boxes scatter more in jumps than usually, extents more than middles, and errors that last
 # more than sizes, which are estimated from the same boxes, leave of them

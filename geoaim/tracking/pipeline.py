@@ -15,11 +15,18 @@ from geoaim.base.progress import Progress, notebook_progress
 from geoaim.base.world import World
 from geoaim.hdmap.drivable import sample_lane_directions
 from geoaim.hdmap.lanelet2 import HDMap
+from geoaim.mapping.pipeline import MIN_USED_SHARE
 from geoaim.mapping.video.detections import DetectedBoxes, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video, warn_of_pace
 from geoaim.tracking.association import MIN_HITS, MIN_START_SCORE, Tracklets, associate
-from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_boxes
+from geoaim.tracking.box_checks import (
+    check_sizes,
+    check_standing,
+    check_tracks,
+    drop_doubled_boxes,
+    find_askew,
+)
 from geoaim.tracking.find_vehicles import keep_certain, measure_certainty, search_frames
 from geoaim.tracking.frame_poses import FramePoses, locate_frames
 from geoaim.tracking.ground_detections import GroundDetections, place_boxes, select_detections
@@ -120,11 +127,25 @@ def follow_video(
         followed = _follow_boxes(known, matrices, times, size, flying_height)
     tracks = _drop_fragments(make_states(*followed, times, aim.world, lanes))
     check_tracks(tracks)
+    check_standing(tracks)
+    _warn_of_lost_frames(poses)
     if detections is None:
         check_scale(tracks, aim)
         return FollowedVideo(tracks, poses, 0.0, float(measure_certainty(*followed).mean()))
+    if text := find_askew(tracks):
+        warn(
+            f"{text}: are some of them people (--classes), or are the boxes turned? Four corners "
+            "turn them; an angle is not read, and one from 0 to 1 may be taken for a score"
+        )
     count = sum(len(boxes.boxes) for boxes in known if boxes is not None)
     return FollowedVideo(tracks, poses, 1 - len(followed[0].step) / max(count, 1))
+
+
+def _warn_of_lost_frames(poses: FramePoses) -> None:
+    """Warn where most frames do not lie on the map."""
+    located = np.isfinite(poses.world_from_frame).all(axis=(1, 2)).mean()
+    if located < MIN_USED_SHARE:
+        warn(f"only {located:.0%} of the frames lie on the map; agents are followed in these alone")
 
 
 def _locate_boxes(

@@ -7,13 +7,14 @@ from scipy import ndimage
 
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import warn
+from geoaim.tracking.box_checks import MIN_AGENTS, find_askew
 from geoaim.tracks.agent_types import TYPICAL_SIZES
 from geoaim.tracks.tracks import Tracks
 
 WINDOW = 0.12  # standard deviation of the logarithms of sizes of cars
 MIN_FACTOR = 2.0  # by which vehicles are smaller or larger than cars where the scale is doubted
 CAR_M = float(np.sqrt(np.prod(TYPICAL_SIZES["car"])))  # square root of its area
-MIN_AGENTS = 3  # whose sizes tell a wrong scale
+PEOPLE = "people look like cars at another scale (--frame-resolution)"
 
 
 def _find_most(sides: Float[Array, " n"]) -> float:
@@ -27,6 +28,8 @@ def _find_most(sides: Float[Array, " n"]) -> float:
 
 def check_scale(tracks: Tracks, aim: AIM) -> float | None:
     """Check a scale by `measure_scale_error`, and warn where it cannot be right."""
+    if text := find_askew(tracks):
+        warn(f"{text}: {PEOPLE}")
     factor = measure_scale_error(tracks, aim)
     if factor is not None:
         length, width = np.array(TYPICAL_SIZES["car"]) / factor

@@ -8,10 +8,11 @@ import numpy as np
 
 from geoaim.aim.aim import AIM
 from geoaim.tracking.association import MAX_GAP_S
+from geoaim.tracking.box_checks import find_askew
 from geoaim.tracking.find_vehicles import MAX_POSE_SIGMA_M
 from geoaim.tracking.noise import SLOW_DT
 from geoaim.tracking.pipeline import MAX_UNUSED
-from geoaim.tracking.scale import measure_scale_error
+from geoaim.tracking.scale import PEOPLE, measure_scale_error
 from geoaim.tracks.tracks import Tracks
 
 # share of tracks that the network expects to be right: 0.90 to 0.97 on videos of four places with
@@ -70,6 +71,8 @@ def judge_scale(aim: AIM, tracks: Tracks | None) -> Verdict:
         return Verdict("unusable", (f"most tracks are {1 / error:.2g} times as large as cars",))
     georeference = aim.report.get("georeference", {})
     if by_vehicles := georeference.get("scale_by_vehicles"):
+        if tracks is not None and (text := find_askew(tracks)):
+            return Verdict("unusable", (f"{text}: {PEOPLE}",))
         number, sigma = by_vehicles["vehicles"], by_vehicles["sigma"]
         return Verdict("doubtful", (f"it is that of {number} vehicles, to {sigma:.0%} (1 sigma)",))
     if georeference.get("given_scale"):

@@ -109,18 +109,6 @@ def test_texture_carries_the_position_and_says_if_it_was_moved(aim, tmp_path):
     assert not _holds(read_texture(tmp_path))
 
 
-def test_file_of_an_earlier_version_is_bound_to_its_matrix(aim, tmp_path):
-    report = {"alignment": {"aim": {"covariance_m2": COVARIANCE.tolist()}}}
-    path = tmp_path / "a.tif"
-    write_aim(replace(aim, report=report), path)
-    with rasterio.open(path, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
-        file.update_tags(GEOAIM_REPORT=json.dumps(report))  # without "place"
-    np.testing.assert_allclose(read_position_covariance(read_aim(path).report), COVARIANCE)
-    with rasterio.open(path, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
-        file.transform = file.transform * rasterio.Affine.translation(4, 0)
-    assert not _holds(read_aim(path))
-
-
 def test_region_is_described_by_azimuths_from_north():
     along = np.array([np.sin(np.radians(142)), np.cos(np.radians(142))])
     across = np.array([along[1], -along[0]])

@@ -64,6 +64,6 @@ def test_days_are_measured_apart(tmp_path):
     ground = cv2.normalize(ground, None, 0, 255, cv2.NORM_MINMAX)
     first = AIM.from_image(ground, np.diag([0.1, -0.1, 1.0]), World(None), "ground")
     moved = replace(first, world_from_image=translation(0.3, 0.1) @ first.world_from_image)
-    apart = days.measure_apart(moved, first)
+    apart = days.measure_distances(moved, first)
     assert len(apart) > 20
     np.testing.assert_allclose(np.abs(np.median(apart, axis=0)), [0.3, 0.1], atol=0.01)

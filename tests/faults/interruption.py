@@ -34,7 +34,7 @@ CHANGES = {
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 # imported once by the server of which the children are forks
-PRELOADED = ["tests.faults.small_sample", "tests.faults.writers"]
+PRELOADED = ["tests.faults.small_sample", "tests.faults.writers", "torch._dynamo"]
 
 How = Literal["kill", "error", "stop", "stop again", "full"]
 

@@ -21,7 +21,7 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.video import open_video
 from geoaim.prediction.checkpoints import read_model
-from geoaim.tracks.formats import read_scenarionet_lights, read_tracks
+from geoaim.tracks.formats import read_tracks
 from geoaim.tracks.lights import StopLine, read_lights, read_stop_lines
 from geoaim.web.moving_layers import describe_futures_file
 from tests.faults import mutations as by
@@ -116,9 +116,6 @@ READERS = {
     "tracks: Argoverse 2": _tracks("argoverse.parquet", (*BINARY, by.mutate_parquet)),
     "tracks: GeoPackage": _tracks("tracks.gpkg", (*BINARY, by.mutate_geopackage)),
     "tracks: ScenarioNet": _tracks("scenario.pkl", PICKLE),
-    "lights: ScenarioNet": Reader(
-        "scenario.pkl", PICKLE, lambda f: read_scenarionet_lights(f / "scenario.pkl")
-    ),
     "lights: plain": Reader(
         "lights.csv", TEXT, lambda f: read_lights(f / "lights.csv", _read_lines(f), WORLD)
     ),
@@ -147,7 +144,6 @@ READERS = {
     "detections: MOT": _detections("mot.txt"),
     "detections: COCO": _detections("coco.json", JSON),
     "detections: COCO results": _detections("results.json", JSON),
-    "detections: supervision": _detections("records.json", JSON),
     "futures": Reader("futures.csv", TEXT, lambda f: describe_futures_file(f / "futures.csv")),
     "catalogue": Reader("catalog.csv", TEXT, lambda f: read_recordings(f / "catalog.csv")),
     "video: MP4": Reader("video.mp4", BINARY, _read_video("video.mp4")),

@@ -110,13 +110,6 @@ TABLES = {
             for k in range(4)
         ]
     ),
-    "records.json": json.dumps(
-        [
-            {"x_min": 5 + k, "y_min": 10, "x_max": 15 + k, "y_max": 20, "confidence": 0.9}
-            | {"class_id": 2, "tracker_id": "", "frame_number": k}
-            for k in range(4)
-        ]
-    ),
     "futures.csv": "sample,time,id,x,y\n"
     + "".join(f"{s},{k / 10},1,{185 + k},{235 + s}\n" for s in (0, 1) for k in range(4)),
     "catalog.csv": "video,name,datetime\nvideo.mp4,a,2024-05-01T10:00:00Z\nvideo.mkv,b,\n",

@@ -131,13 +131,6 @@ def test_a_texture_with_a_malformed_place_is_refused_by_all_alike(name, tmp_path
     assert line == refuse(lambda folder: describe_file(str(folder)), tmp_path, "texture.json")
 
 
-def test_two_boxes_with_one_id_in_a_frame_are_said(tmp_path):
-    path = tmp_path / "m.txt"
-    path.write_text("1,0,1,2,9,9,1\n" * 2)
-    with pytest.warns(match=r"m\.txt: 1 boxes have the id of another one .* '0' at frame 1"):
-        read_boxes(path)
-
-
 def test_a_part_of_a_video_may_have_a_thousand_digits():
     with pytest.raises(GeoaimError, match=r"missing\.mp4: there is no such file"):
         open_video(f"missing.mp4#t=0,{'9' * 1000}")

@@ -18,7 +18,6 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 import torch
-import torch._dynamo
 from matplotlib.figure import Figure
 
 from benchmarks.prediction import tables
@@ -54,7 +53,7 @@ from tests.prediction.tiny import TINY, drive, hill
 cv2.setNumThreads(1)  # threads do not survive a fork
 torch.set_num_threads(1)
 gc.freeze()  # forks share the memory of what is imported
-PRELOADED = torch._dynamo, encode, raster_files, texture, pictures, predict, report, episodes
+PRELOADED = encode, raster_files, texture, pictures, predict, report, episodes
 STEPS = 2  # of the training
 RECORDINGS = ("east", "west")  # of a catalogue
 

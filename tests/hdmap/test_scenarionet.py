@@ -9,10 +9,10 @@ import pytest
 
 from geoaim.base.errors import GeoaimWarning, TracksError
 from geoaim.hdmap.lanelet2 import read_hdmap
-from geoaim.hdmap.scenarionet import write_scenarionet
+from geoaim.hdmap.scenarionet import STATES, write_scenarionet
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.files import read_plain_tracks
-from geoaim.tracks.formats import read_scenarionet_lights, read_tracks
+from geoaim.tracks.formats import read_tracks
 from geoaim.tracks.lights import find_light_states, read_lights
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -39,13 +39,17 @@ def test_tracks_come_back_as_they_were(scenario):
     np.testing.assert_allclose(read.times, TRACKS.times)
 
 
-def test_lights_come_back_for_each_lane_that_their_stop_lines_cross(scenario):
-    read = read_scenarionet_lights(scenario)
+def test_lights_stand_in_the_lanes_that_their_stop_lines_cross(scenario):
+    content = pickle.loads(scenario.read_bytes())
     shown = find_light_states(LIGHTS, TRACKS.times)
-    for states, line in zip(read.states.T, read.lines, strict=True):
-        distances = np.linalg.norm(LIGHTS.lines.mean(axis=1) - line.mean(axis=0), axis=1)
+    middles = LIGHTS.lines.mean(axis=1)
+    assert len(content["dynamic_map_states"]) >= len(LIGHTS.names)
+    for lane, light in content["dynamic_map_states"].items():
+        assert content["map_features"][lane]["type"] == "LANE_SURFACE_STREET"
+        distances = np.linalg.norm(middles - light["stop_point"][:2], axis=1)
         assert distances.min() < 3
-        np.testing.assert_array_equal(states, shown[:, distances.argmin()])
+        states = [STATES.get(state, "LANE_STATE_UNKNOWN") for state in shown[:, distances.argmin()]]
+        assert light["state"]["object_state"] == states
 
 
 def test_file_is_a_pickle_of_plain_data_with_a_summary(scenario):

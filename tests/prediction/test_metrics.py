@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.baselines import BASELINES, NOISY
 from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, bootstrap_interval, compute_metrics, concat, summarise
@@ -13,8 +13,6 @@ from geoaim.simulation.infractions import Drivable
 from geoaim.simulation.road_rules import RoadRules
 from geoaim.tracks.lights import GREEN, RED
 from tests.prediction.tiny import TINY, drive, hill
-
-NOISY = "constant velocity with noise"
 
 
 def futures(segments, shifts):

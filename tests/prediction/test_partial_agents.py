@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.baselines import BASELINES, NOISY
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import compute_ade, compute_metrics
 from geoaim.prediction.policies import ITRAPolicy
@@ -15,7 +15,6 @@ from geoaim.simulation.simulator import rollout
 from tests.prediction.tiny import TINY, drive, hill
 
 HISTORY, STEPS, LEAVES, ENTERS = 4, 20, 16, 9  # the car leaves and the pedestrian enters
-NOISY = "constant velocity with noise"
 
 
 def traffic(enters=ENTERS, leaves=LEAVES):

@@ -9,10 +9,9 @@ from typer.testing import CliRunner
 import geoaim
 from geoaim.base.errors import ModelError, TracksError
 from geoaim.cli import app
-from geoaim.cli.predict import NOISY, compare_with_noise, describe_test, judge_before
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
-from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.baselines import BASELINES, NOISY
 from geoaim.prediction.checkpoints import PRETRAINED, read_model, read_pretrained, write_model
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.evaluation import EvalConfig, evaluate
@@ -22,6 +21,7 @@ from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
 from geoaim.prediction.predict import DRAWS, predict
 from geoaim.prediction.sureness import MAX_SPEED_SIGMA, UNKNOWN, UNSURE
 from geoaim.prediction.training import init_model
+from geoaim.prediction.trial import compare_with_noise, describe_trial, judge_before
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.rendering.scene import make_scene, slice_scene
 from geoaim.tracks.agent_types import select_group
@@ -179,7 +179,7 @@ def test_what_was_recorded_before_tells_whether_a_model_is_better_than_noise(sce
     assert bad["model"].mean > 3 * errors["model"].mean
     assert bad[NOISY].mean == errors[NOISY].mean
     assert compare_with_noise(bad) == "worse"
-    assert "the model is worse than that here: learn the place" in describe_test(bad)
+    assert "the model is worse than that here: learn the place" in describe_trial(bad)
     assert compare_with_noise({"model": bad[NOISY], NOISY: bad["model"]}) == "better"
     assert compare_with_noise({"model": bad[NOISY], NOISY: bad[NOISY]}) == "as good"
 
@@ -191,7 +191,7 @@ def test_nothing_after_the_start_and_no_short_recording_tests_a_model(scene):
     for name, errors in judge_before(model, scene, 300, 30).items():
         assert errors.mean == judge_before(model, later, 300, 30)[name].mean
     assert judge_before(model, scene, 36, 30) == {}
-    assert "Too little was recorded" in describe_test({})
+    assert "Too little was recorded" in describe_trial({})
 
 
 @pytest.mark.slow
@@ -217,7 +217,7 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
         assert done.exit_code == 0, done.output
         assert (tmp_path / name).stat().st_size > 1000
         assert "the model is better than that here" in " ".join(done.output.split())
-    assert "\n# Before --start, minADE of 6 futures of " in (tmp_path / "f.csv").read_text()
+    assert "\n# Before the start, minADE of 6 futures of " in (tmp_path / "f.csv").read_text()
     done = run(app, ["predict", *given, "-o", str(tmp_path / "f.txt")])
     assert done.exit_code == 1
     done = run(app, ["predict", *given, "-o", str(tmp_path / "x.csv"), "--start", "500"])

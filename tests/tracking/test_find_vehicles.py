@@ -19,7 +19,11 @@ from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.association import Tracklets
 from geoaim.tracking.find_vehicles import (
+    EVEN,
     _choose,
+    _find_dark,
+    _Found,
+    _pick_likely,
     _sample_inside,
     _weigh,
     keep_certain,
@@ -28,6 +32,7 @@ from geoaim.tracking.find_vehicles import (
 )
 from geoaim.tracking.frame_poses import locate_frames
 from geoaim.tracking.ground_detections import place_boxes
+from geoaim.tracking.shadows import find_dark_boxes, find_shadows
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 FRAMES = 20
@@ -100,8 +105,9 @@ def weigh(logits, excess, lengths=(16.0, 16.0), second=(60.0, 20.0), in_frame=2)
     widths = np.full(2, 7.0)
     peaks = Peaks(centres, np.zeros(2), np.array(lengths), widths, np.array(logits))
     inside = _sample_inside(peaks)
-    odds = _weigh(peaks, inside, picture, in_frame)
-    return _choose(peaks, inside, odds, np.array([0.5, 0.5]))
+    peaks, odds = _pick_likely(peaks, _weigh(peaks, inside, picture, in_frame))
+    none = find_dark_boxes(peaks, np.zeros(len(odds), bool), np.eye(3))
+    return _choose(_Found(peaks, odds, np.array([0.5, 0.5]), none), np.arange(len(odds)))
 
 
 def test_what_differs_from_the_map_is_more_probably_a_vehicle():
@@ -164,3 +170,37 @@ def test_options_of_detections_need_detections(tmp_path):
     result = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "tracks.csv")])
     assert result.exit_code == 1
     assert "--detections" in result.output
+
+
+def find_shadows_at(sides):
+    """Shadows among dark boxes beside lighter ones, in frames that are turned by a quarter each."""
+    frames = []
+    for turn, side in enumerate(sides):
+        centres = np.array([[50.0, 50.0], [50.0, 50.0] + 8.5 * np.array(side)])
+        peaks = Peaks(centres, np.zeros(2), np.full(2, 16.0), np.full(2, 7.0), np.zeros(2))
+        c, s = np.round([np.cos(turn * np.pi / 2), np.sin(turn * np.pi / 2)])
+        world_from_image = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        frames.append(find_dark_boxes(peaks, np.array([False, True]), world_from_image))
+    return [shadow.tolist() for shadow in find_shadows(frames)]
+
+
+def test_dark_boxes_on_one_side_of_lighter_ones_are_shadows():
+    to_north = [(0, 1), (1, 0), (0, -1), (-1, 0)] * 6  # of frames that are turned
+    assert find_shadows_at(to_north) == [[1]] * 24
+    other = find_shadows_at([*to_north, (0, -1)])
+    assert other[-1] == []  # on the sun's side of a lighter one: a dark car
+    to_south = [(-x, -y) for x, y in to_north]
+    assert find_shadows_at(to_north[:12] + to_south[:12]) == [[]] * 24
+    assert find_shadows_at(to_north[:12]) == [[]] * 12  # too few to tell
+    assert find_shadows_at([(0, 2), (2, 0), (0, -2), (-2, 0)] * 6) == [[]] * 24  # apart
+
+
+def test_what_is_darker_than_the_map_is_dark_and_not_what_is_as_dark_as_it():
+    peaks = Peaks(
+        np.array([[20.0, 20.0], [60.0, 20.0]]), np.zeros(2), np.full(2, 16.0), np.full(2, 7.0),
+        np.zeros(2),
+    )  # fmt: skip
+    image = np.full((40, 80, 3), 60, np.uint8)
+    change = np.full((40, 80, 3), EVEN, np.uint8)
+    change[:, 40:] -= 60  # the map has 120 there
+    assert _find_dark(_sample_inside(peaks), image, change).tolist() == [False, True]

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import geoaim
 from geoaim.aim.aim import AIM
-from geoaim.base.errors import RegistrationError
+from geoaim.base.errors import GeoaimWarning, RegistrationError
 from geoaim.base.geometry import image_corners, to_opencv, transform_points
 from geoaim.base.progress import no_progress
 from geoaim.cli import app
@@ -47,6 +47,19 @@ def test_tracks_of_the_sample_lie_where_they_should(aim, video):
     lines = summarize_tracking(tracks, aim)
     assert lines["on the map"].endswith("of the states")
     assert lines["bridged states"] == "0.0%, between two detections"
+
+
+def test_boxes_that_are_not_turned_with_their_vehicles_are_doubted(aim, video):
+    read = geoaim.read_detections(SAMPLES / "boxes", classes=CLASSES)
+
+    def lay_across(frame):
+        own = read(frame)
+        ends = own.boxes.reshape(-1, 2, 2)
+        middle, half = ends.mean(axis=1), np.diff(ends, axis=1)[:, 0] / 2
+        return replace(own, boxes=np.hstack([middle - half[:, ::-1], middle + half[:, ::-1]]))
+
+    with pytest.warns(GeoaimWarning, match="lie across their paths .* Four corners turn them"):
+        track_video(video, aim, lay_across)
 
 
 def test_a_frame_is_placed_in_an_aim_that_is_turned_and_scaled(aim, video):

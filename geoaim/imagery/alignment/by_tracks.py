@@ -10,7 +10,6 @@ tracks, at all shifts at once, for each rotation. The score over a temperature i
 the likelihood. Along a straight road it hardly changes, and the covariance shows this.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -84,23 +83,6 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
     posterior = _estimate_posterior(search, rotations)
     _refuse_weak(posterior.sum(axis=0), len(poses), prior.max_shift)
     return _average_posterior(posterior, rotations, search.center, len(poses))
-
-
-def score_parts(
-    imagery: AIM, masks: Sequence[Bool[Array, "H W"]], tracks: Tracks, rotation: float, prior: Prior
-) -> Float[Array, "K n n"]:
-    """Compute log-likelihoods of the shifts of parts of imagery, each by what it alone shows."""
-    search = _make_search(imagery, sample_poses(tracks), prior)
-    rotations = np.array([rotation])
-    channels = _draw_channels(search, _estimate_posterior(search, rotations).sum(axis=0))
-    matrix = to_opencv(imagery.grid.grid_from_world @ search.grid.world_from_grid)
-    flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    size = search.grid.shape[::-1]
-    shown = [
-        cv2.warpPerspective(mask.astype(np.uint8), matrix, size, flags=flags) for mask in masks
-    ]
-    scores = [_score_rotation(search, channels * one[..., None], rotation) for one in shown]
-    return np.stack(scores).astype(float) / TEMPERATURE
 
 
 def sample_poses(tracks: Tracks) -> Float[Array, "M 3"]:

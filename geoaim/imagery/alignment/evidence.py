@@ -21,17 +21,12 @@ from geoaim.imagery.alignment.by_tracks import align_tracks
 from geoaim.imagery.alignment.parts import Labels, Part, align_parts, compose_parts, try_alignment
 from geoaim.imagery.alignment.result import ImageryAlignment, Prior
 from geoaim.imagery.alignment.segmentation import find_parts
-from geoaim.imagery.alignment.tracks_parts import (
-    align_parts_to_tracks,
-    forget_undetermined,
-    weigh_alignment,
-)
+from geoaim.imagery.alignment.weighing import forget_undetermined, weigh_alignment
 from geoaim.imagery.mosaic import Mosaic
 from geoaim.tracks.tracks import Tracks
 
 # more of the windows must agree with one place; else parts are looked for that have another one
 MAX_AGREEING_SHARE = 0.8
-WARN_DISPLACED = 0.5  # a warning says that parts are displaced, if they are so more probably
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,17 +96,13 @@ class TracksEvidence:
     def align_parts(
         self, imagery: AIM, labels: Labels | None, whole: ImageryAlignment | None
     ) -> list[Part]:
-        """Align files each for itself, or widen what is stated, as the tracks support it."""
-        if whole is None:
-            return []
-        places = align_parts_to_tracks(imagery, labels, self.source, whole, self.prior)
-        if len(places.parts) == 1 and places.displaced > WARN_DISPLACED:
+        """List no parts: tracks place imagery as a whole."""
+        if labels is not None and len(labels.names) > 1 and whole is not None:
             warn(
-                f"with a probability of {places.displaced:.0%} parts of the imagery are displaced "
-                "against each other, as in a mosaic, and the tracks do not tell how far: the "
-                "stated uncertainty is that of such parts. An AIM (--aim) places each for itself"
+                f"tracks place the {len(labels.names)} files of the imagery as one; whether they "
+                "are displaced against each other only an AIM of the place (--aim) tells"
             )
-        return places.parts
+        return []
 
 
 Evidence = AimEvidence | TracksEvidence

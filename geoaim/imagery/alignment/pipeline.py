@@ -27,7 +27,7 @@ from geoaim.imagery.alignment.evidence import (
     report_alignment,
 )
 from geoaim.imagery.alignment.result import DEFAULT_PRIOR, ImageryAlignment, Prior
-from geoaim.imagery.alignment.tracks_parts import forget_undetermined, weigh_alignment
+from geoaim.imagery.alignment.weighing import forget_undetermined, weigh_alignment
 from geoaim.imagery.mosaic import Mosaic, ReadOptions, read_lonlat, read_mosaic
 from geoaim.imagery.sources import ImageryObject, Source
 from geoaim.mapping.georeference.control_points import ControlPointSource
@@ -73,9 +73,9 @@ def align_tiles(
 
     A map that was built of a video keeps its pixels, its coverage and what its report knows.
 
-    The parts of a mosaic that lie at different places are moved each for itself. An AIM counts by
-    how well its own report says that its place is known: in a direction in which the imagery's
-    georeference is better known, the imagery stays.
+    By an AIM the parts of a mosaic that lie at different places are moved each for itself. It
+    counts by how well its own report says that its place is known: in a direction in which the
+    imagery's georeference is better known, the imagery stays.
 
     Args:
         tiles: what `read_imagery` takes; with control points one picture, which needs no

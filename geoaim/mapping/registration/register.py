@@ -248,16 +248,7 @@ def choose_reference(
     placed = [] if is_given else _register_probes(reference, probes)
     if time is None and not all(result.valid for result, _ in placed):
         many = read if len(read) > PROBE_FRAMES else video.sample(HOVER_FRAMES)
-        if hovers := find_hovers(many):
-            start, end = max(hovers, key=np.ptp)
-            best = next(iter(video.frames_at([(start + end) / 2])))
-            probes = list(video.frames_at(np.linspace(start, end, PROBE_FRAMES)))
-        else:
-            features = [
-                detect_features(probe.grey, exclude=mask_detections(probe, detections))
-                for probe in probes
-            ]
-            best = probes[_choose_best_connected(features, (video.height, video.width))]
+        best, probes = _find_best_connected(video, many, probes, detections)
         reference = _make_reference(best, detections, model)
         placed = _register_probes(reference, probes)
     patches = len(reference.keyframe.fine.points)
@@ -267,6 +258,20 @@ def choose_reference(
             f"{MIN_INLIERS} are needed; pass the reference_time of a sharper frame"
         )
     return reference if model else _choose_model(reference, placed)
+
+
+def _find_best_connected(
+    video: Video, many: Iterable[Frame], probes: list[Frame], detections: Detections | None
+) -> tuple[Frame, list[Frame]]:
+    """Find the middle of the longest hover, else the probe that matches most; and its probes."""
+    if hovers := find_hovers(many):
+        start, end = max(hovers, key=np.ptp)
+        best = next(iter(video.frames_at([(start + end) / 2])))
+        return best, list(video.frames_at(np.linspace(start, end, PROBE_FRAMES)))
+    features = [
+        detect_features(probe.grey, exclude=mask_detections(probe, detections)) for probe in probes
+    ]
+    return probes[_choose_best_connected(features, (video.height, video.width))], probes
 
 
 def _spread(frames: Sequence[Frame], count: int) -> list[Frame]:

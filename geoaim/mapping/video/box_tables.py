@@ -1,4 +1,4 @@
-"""A table of the boxes of all frames, as files of detections hold them."""
+"""Which frame the boxes of a file are of: by its number, its time, or the name of its image."""
 
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -16,27 +16,24 @@ from geoaim.mapping.video.frames import FrameList
 if TYPE_CHECKING:
     import pandas as pd
 
-CORNERS = ("u0", "v0", "u1", "v1", "u2", "v2", "u3", "v3")
-BOX = ("left", "top", "right", "bottom")
 MAX_TIME_OFFSET_S = 0.5  # of a frame from the boxes that are nearest in time
-TIME_UNITS = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}  # in a second
 MIN_REGULAR = 5  # numbers of frames that tell their stride
 MIN_COVERED = 0.6  # share of the video's frames before the last one with boxes; fewer are odd
+MAX_LISTED = 3  # names that a message lists
 
 
 @dataclass(frozen=True, eq=False)
 class FrameRows:
-    """The rows of each frame: by the name of its image, by its number, or by its time."""
+    """The rows of each frame: by the name of its image, or by its number."""
 
     of_name: Mapping[str, Int[Array, " _"]] | None = None
-    numbers: Float[Array, " K"] | None = None  # of frames with rows, increasing; or their times
+    numbers: Float[Array, " K"] | None = None  # of frames with rows, increasing
     rows: tuple[Int[Array, " _"], ...] = ()  # of each
-    stride: float = 1.0  # from one frame with boxes to the next; or seconds
-    by_time: bool = False
+    stride: float = 1.0  # from one frame with boxes to the next
     remarks: tuple[str, ...] = ()
 
-    def find(self, name: str | None, index: int, time: float) -> Int[Array, " _"] | None:
-        """Find the rows of a frame by the name of its image if it has one, its number or time (s).
+    def find(self, name: str | None, index: int) -> Int[Array, " _"] | None:
+        """Find the rows of a frame by the name of its image if it has one, or by its number.
 
         None: the boxes of the frame are not known. Between the first and the last frame with rows,
         one where rows are to be expected by the stride has no boxes.
@@ -45,25 +42,15 @@ class FrameRows:
             return self.of_name.get(strip_zeros(Path(name).stem))
         if self.numbers is None or not len(self.numbers):
             return None
-        place = time if self.by_time else float(index)
-        nearest = int(np.abs(self.numbers - place).argmin())
-        reach = min(self.stride / 2 * (1 + 1e-6), MAX_TIME_OFFSET_S) if self.by_time else 0.0
-        if abs(self.numbers[nearest] - place) <= reach:
-            return self.rows[nearest]
-        return np.empty(0, int) if self._is_expected(place) else None
-
-    def _is_expected(self, place: float) -> bool:
-        """Whether a frame without rows is one for which the detector was asked."""
-        assert self.numbers is not None
-        after = int(np.searchsorted(self.numbers, place))
+        after = int(np.searchsorted(self.numbers, index))
+        if after < len(self.numbers) and self.numbers[after] == index:
+            return self.rows[after]
         if not 0 < after < len(self.numbers):
-            return False
-        if self.by_time:
-            return True
+            return None
         before, gap = self.numbers[after - 1], self.numbers[after] - self.numbers[after - 1]
         count = max(round(gap / self.stride), 1)
-        expected = before + round((place - before) * count / gap) * gap / count
-        return bool(np.floor(expected + 0.5) == place)
+        expected = before + round((index - before) * count / gap) * gap / count
+        return np.empty(0, int) if np.floor(expected + 0.5) == index else None
 
 
 def strip_zeros(stem: str) -> str:
@@ -108,7 +95,7 @@ def place_numbers(
     if rate is not None:
         start = first if first is not None else usual if usual and numbers.min() > 0 else 0
         timed = replace(groups, numbers=(numbers - start) / rate, stride=groups.stride / rate)
-        return place_times(timed, frames=frames, source=source, unit="s")
+        return place_times(timed, frames=frames, source=source)
     chosen = {int(number) for number in numbers.tolist()}
     start = find_first(chosen, frames, source, usual=usual) if first is None else first
     stride = max(groups.stride, 1.0) if len(numbers) >= MIN_REGULAR else 1.0
@@ -125,17 +112,17 @@ def place_numbers(
     return replace(groups, remarks=(remark,))
 
 
-def place_times(
-    groups: FrameRows, *, frames: FrameList | None, source: str | Path, unit: str
-) -> FrameRows:
-    """Place rows that are grouped by time: those of each time belong to the nearest frame."""
-    known = None if frames is None else frames.times
-    times, remarks = groups.numbers, []
+def place_times(groups: FrameRows, *, frames: FrameList | None, source: str | Path) -> FrameRows:
+    """Place rows that are grouped by time, s: those of each belong to the nearest frame."""
+    times, stride, remarks = groups.numbers, groups.stride, []
     if times is None or not len(times):
         return groups
-    times, stride = times / TIME_UNITS[unit], groups.stride / TIME_UNITS[unit]
-    if known is None or frames is None:
-        return replace(groups, numbers=times, stride=stride, by_time=True)
+    if frames is None or frames.times is None:
+        raise GeoaimError(
+            f"{source} has boxes by time, and the times of the frames are not known; number the "
+            "frames, or give the video to read_detections"
+        )
+    known = frames.times
     nearest = np.searchsorted((known[1:] + known[:-1]) / 2, times)
     distance = np.abs(known[nearest] - times)
     half = float(np.median(np.diff(known))) / 2 if len(known) > 1 else MAX_TIME_OFFSET_S
@@ -143,8 +130,8 @@ def place_times(
     if not usable.any():
         raise GeoaimError(
             f"{source} has boxes of {times.min():g} to {times.max():g} s, and {frames.source} "
-            f"lasts {known[-1]:.1f} s: none is of a frame; give seconds since the first frame, "
-            "name the column time_ms, time_us or time_ns, or give --rate"
+            f"lasts {known[-1]:.1f} s: none is of a frame; give seconds since the first frame, or "
+            "frame numbers and --rate"
         )
     chosen = np.lexsort((distance, nearest))
     chosen = chosen[usable[chosen]]
@@ -154,8 +141,7 @@ def place_times(
     if late:
         remarks.append(
             f"{late} boxes are of times after the video's end ({known[-1]:.1f} s), up to "
-            f"{times[-1]:.1f} s, and are left out: are they of this video, and in seconds (a "
-            "column time_ms holds others)?"
+            f"{times[-1]:.1f} s, and are left out: are they of this video, and in seconds?"
         )
     count = sum(map(len, groups.rows)) - late
     if unused := count - sum(map(len, rows)):
@@ -182,9 +168,6 @@ def find_stride(numbers: Float[Array, " n"]) -> float:
         return 1.0
     least = float(np.quantile(gaps, 0.1))
     return float(gaps[gaps <= 1.5 * least + 1e-9].mean())
-
-
-MAX_LISTED = 3  # names that a message lists
 
 
 def number_names(

@@ -18,12 +18,13 @@ FORMS: Mapping[str, str] = {
     "ltwh": "left, top, width and height",
     "xywh": "the middle x and y, width and height",
 }
-IGNORED = "ignored"  # regions that VisDrone does not label
+# where other forms are made into these
+PAGE = "docs/formats/detections.md has two lines that make a table of any other form"
+IGNORED = "ignored"  # the name for classes that are left out
 MAX_SHARE = 1.5  # boxes may end outside the image
 BORDER_PX = 3.0  # by which noise takes boxes beyond the picture
 MIN_WRONG = 4  # boxes that a reading takes out of the picture, and another one does not
 MAX_OUTSIDE = 0.05  # share of boxes whose middles are not in the picture; more are refused
-MIN_PILED = 5  # boxes that end alike: where a picture ended
 MIN_REACH = 0.75  # share of the picture that boxes reach; less is odd where there are many
 MIN_JUDGED = 50  # boxes
 
@@ -32,14 +33,12 @@ MIN_JUDGED = 50  # boxes
 class RawBoxes:
     """Boxes as they are written, before the meaning of their numbers is judged; M of them."""
 
-    format: str
-    rows: "pd.DataFrame"  # the columns score, class and id, and one of name, frame and time
+    rows: "pd.DataFrame"  # the columns score and class, and one of name, frame and time
     numbers: Float[Array, "M n"]  # four of a form, or the corners of oriented boxes
     forms: tuple[str, ...] = ("ltrb",)  # keys of `FORMS`: the usual one, then its usual slips
     is_named: bool = True  # whether the source says which form it is; a doubtful one is stated
     shares: bool | None = False  # whether numbers are shares of the picture; None: found
     size: tuple[int, int] | None = None  # (width, height) of the picture, where it is stated
-    time_unit: str = "s"  # of the column time
     usual_frame: int | None = None  # number of the first frame; None: formats differ
     class_names: Sequence[str] = ()  # of class numbers from 0
     usual_class: int | None = 0  # number of the first class; None: formats differ
@@ -102,8 +101,7 @@ def judge_boxes(
         remarks.append(f"{dropped} boxes without an area, or with values missing, are left out")
     ends = get_bounds(numbers)
     if size is None and not raw.shares:
-        size, remark = _guess_size(ends[usable], picture)
-        remarks += [remark] if remark else []
+        remarks += _judge_reach(ends[usable], picture)
     _refuse_outside(ends[usable], size or picture, source)
     if size is not None and tuple(size) != picture:
         scale = np.array(picture) / np.array(size)
@@ -172,27 +170,17 @@ def _scale_shares(
     return numbers, remark
 
 
-def _guess_size(
-    ends: Float[Array, "M 4"], picture: tuple[int, int]
-) -> tuple[tuple[int, int] | None, str]:
-    """Guess the size of a smaller picture at whose borders boxes end alike."""
+def _judge_reach(ends: Float[Array, "M 4"], picture: tuple[int, int]) -> list[str]:
+    """Remark on boxes that leave a part of the picture empty, as those of a smaller one do."""
     if len(ends) < MIN_JUDGED:
-        return None, ""
+        return []
     reach = ends[:, 2:].max(axis=0)
-    piled = (ends[:, 2:] > reach - 1.0).sum(axis=0).min() >= MIN_PILED
-    share = reach / np.array(picture)
-    if piled and share.max() < 0.97 and abs(share[0] / share[1] - 1) < 0.02:
-        size = round(float(reach[0])), round(float(reach[1]))
-        return size, (
-            f"they are taken to be of pictures of {size[0]} x {size[1]}, at whose borders many "
-            f"end; --size {picture[0]}x{picture[1]} says otherwise"
-        )
-    if share.max() < MIN_REACH:
-        return None, (
-            f"they reach to {reach[0]:.0f} x {reach[1]:.0f} of {picture[0]} x {picture[1]} pixels "
-            "only; if they are of pictures of another size, give that as --size WIDTHxHEIGHT"
-        )
-    return None, ""
+    if (reach > MIN_REACH * np.array(picture)).any():
+        return []
+    return [
+        f"they reach to {reach[0]:.0f} x {reach[1]:.0f} of {picture[0]} x {picture[1]} pixels "
+        "only; if they are of pictures of another size, give that as --size WIDTHxHEIGHT"
+    ]
 
 
 def _refuse_outside(ends: Float[Array, "M 4"], size: tuple[int, int], source: str) -> None:
@@ -224,30 +212,13 @@ def find_oriented_boxes(corners: Float[Array, "M 8"]) -> Bool[Array, "M"]:
     return uneven <= np.maximum(0.08 * longest, 2.0)
 
 
-def find_repeated_ids(rows: "pd.DataFrame") -> list[str]:
-    """Remark on ids that several boxes of a frame have."""
-    frame = next(name for name in ("time", "frame", "name") if name in rows)
-    named = rows[rows["id"] != ""]
-    repeated = named[named.duplicated([frame, "class", "id"])]
-    if not len(repeated):
-        return []
-    first = repeated.iloc[0]
-    shown = first[frame] if frame == "name" else f"{first[frame]:g}"
-    return [
-        f"{len(repeated)} boxes have the id of another one of their frame, such as "
-        f"{first['id']!r} at {frame} {shown}"
-    ]
-
-
 def judge_scores(scores: Float[Array, "M"]) -> tuple[Float[Array, "M"], str]:
-    """Judge confidences: from 0 to 1, percent, or of no known scale (NaN)."""
+    """Judge confidences: from 0 to 1, or of no known scale (NaN)."""
     known = scores[np.isfinite(scores)]
     if not len(known) or (known.max() <= 1 and known.min() >= 0):
         return scores, ""
     if (known == -1).all():
         return np.full(len(scores), np.nan), ""
-    if known.min() >= 0 and 10 < known.max() <= 100:
-        return scores / 100, "its scores are taken for percent"
     wrong = int(((known > 1) | (known < 0)).sum())
     return np.full(len(scores), np.nan), (
         f"its scores are not used, since {wrong} of {len(known)} are not from 0 to 1; if they are "
@@ -256,38 +227,30 @@ def judge_scores(scores: Float[Array, "M"]) -> tuple[Float[Array, "M"], str]:
 
 
 def name_classes(
-    classes: Sequence[str], names: Sequence[str], usual: int | None, *, is_builtin: bool
+    classes: Sequence[str], names: Sequence[str], usual: int | None
 ) -> tuple[list[str], str]:
     """Name classes that are numbers, and remark on what was assumed.
 
-    Names are in order of the numbers, or pairs such as `3=car`; `is_builtin` says that they are the
-    format's own. The first class in the format has the usual number; None: formats differ.
+    Names are in order of the numbers, or pairs such as `3=car`. The first class in the format has
+    the usual number; None: formats differ, and it is 0.
     """
     numbers = sorted({int(name) for name in set(classes) if name.isdecimal()})
     if not names or not numbers:
         several = len(numbers) > 1 and not names
-        return list(classes), (
-            "its classes are numbers without names, so that types follow from sizes; --classes "
-            "names them"
-            if several
-            else ""
-        )
+        remark = "its classes are numbers without names, so that types follow from sizes"
+        return list(classes), f"{remark}; --classes names them" if several else ""
     if all("=" in name for name in names):
-        pairs_of_names = (name.partition("=") for name in names)
-        known = {number.strip(): name.strip() for number, _, name in pairs_of_names}
+        pairs = (name.partition("=") for name in names)
+        known = {number.strip(): name.strip() for number, _, name in pairs}
         return [known.get(name, name) for name in classes], ""
-    first, remark = usual, ""
-    pairs = ",".join(f"{number}=..." for number in numbers[:3])
-    if is_builtin or numbers[0] == 0:
-        first = 0
-    elif numbers[-1] == len(names):
-        first = 1
-    if not is_builtin and numbers[0] > 0 and (first == 1 or usual is None):
-        remark = (
-            f"its classes count from {first or 0}, it is assumed; --classes {pairs} says otherwise"
-        )
-    known = {str(number + (first or 0)): name for number, name in enumerate(names)}
-    unnamed = [str(number) for number in numbers if str(number) not in known]
-    if unnamed and not is_builtin:
+    first = 0 if numbers[0] == 0 else usual or 0
+    known = {str(number + first): name for number, name in enumerate(names)}
+    remark = ""
+    if unnamed := [str(number) for number in numbers if str(number) not in known]:
         remark = f"its classes {', '.join(unnamed[:5])} have no name in --classes"
+    elif first or (numbers[0] and usual is None):
+        example = ",".join(f"{number}=..." for number in numbers[:3])
+        remark = (
+            f"its classes count from {first}, it is assumed; --classes {example} says otherwise"
+        )
     return [known.get(name, name) for name in classes], remark

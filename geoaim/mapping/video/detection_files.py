@@ -1,4 +1,4 @@
-"""Files of detections: YOLO, MOT, geo-trax, COCO and tables; arrays hold what else there is."""
+"""Files of detections: YOLO, MOT, COCO and tables; arrays hold what else there is."""
 
 import json
 from collections.abc import Mapping
@@ -12,12 +12,10 @@ from numpy import ndarray as Array
 
 from geoaim.base.errors import GeoaimError
 from geoaim.base.limits import open_text, refuse_damaged
-from geoaim.mapping.video.detection_checks import MAX_SHARE, RawBoxes
-from geoaim.mapping.video.detection_columns import name_columns, to_table
-from geoaim.tracks.formats.geotrax import BOX as GEOTRAX_BOX
-from geoaim.tracks.formats.geotrax import PIXEL_COLUMNS, VEHICLE_CLASSES
+from geoaim.mapping.video.detection_checks import MAX_SHARE, PAGE, RawBoxes
+from geoaim.mapping.video.detection_columns import name_columns
 
-FORMATS = ("YOLO", "MOT", "geo-trax", "COCO", "supervision", "table")
+FORMATS = ("YOLO", "MOT", "COCO", "table")
 YOLO_FIELDS = {5: 4, 6: 4, 7: 4, 9: 8, 10: 8, 11: 8}  # numbers of a box by fields of its row
 
 
@@ -32,8 +30,9 @@ def read_raw_boxes(source: Path | pd.DataFrame, columns: Mapping[str, str] | Non
     if source.suffix.lower() == ".xml":
         raise GeoaimError(f"{source}: XML is not read; export CVAT's boxes as YOLO, MOT or COCO")
     with refuse_damaged(source, GeoaimError, "a table of detections"):
-        is_json = source.suffix.lower() == ".json"
-        return _check((_read_json if is_json else _read_text)(source, columns or {}))
+        if source.suffix.lower() == ".json":
+            return _check(_read_coco(source))
+        return _check(_read_text(source, columns or {}))
 
 
 def _check(raw: RawBoxes) -> RawBoxes:
@@ -73,19 +72,16 @@ def _read_yolo(folder: Path) -> RawBoxes:
     if len(widths) > 1:
         raise GeoaimError(f"{folder} mixes upright and oriented boxes; give one kind")
     [width] = widths
-    rest = np.array([[*row[1 + width :], np.nan, np.nan][:2] for _, row in found]).reshape(-1, 2)
-    scores, ids = rest.T
-    # the only further field is an id where all of them are whole, and one exceeds 1
-    if np.isnan(ids).all() and (scores > 1).any() and (scores[scores == scores] % 1 == 0).all():
-        scores, ids = ids, scores
+    # of a confidence and an id, which may follow, an id alone is whole, and one exceeds 1
+    scores = np.array([[*row[1 + width :], np.nan][0] for _, row in found])
+    if (scores > 1).any() and (scores[scores == scores] % 1 == 0).all():
+        scores = np.full(len(scores), np.nan)
     rows = {
         "name": np.array([stem for stem, _ in found], object),
         "class": [f"{row[0]:g}" for _, row in found],
         "score": scores,
-        "id": ["" if np.isnan(number) else f"{number:.0f}" for number in ids],
     }
     return RawBoxes(
-        "YOLO" if width == 4 else "YOLO, oriented boxes",
         pd.DataFrame(rows),
         np.array([row[1 : 1 + width] for _, row in found], float).reshape(-1, width),
         ("xywh", "ltwh", "ltrb"),
@@ -127,34 +123,11 @@ def _read_text(path: Path, columns: Mapping[str, str]) -> RawBoxes:
     if is_table:
         table.columns = table.columns.str.strip()
         return name_columns(path, table, columns)
-    values = table.to_numpy(np.float64)
-    if 6 <= values.shape[1] <= 10:
-        return _read_mot(path, values)
-    if values.shape[1] in (len(PIXEL_COLUMNS), len(PIXEL_COLUMNS) + 1):
-        return _read_geotrax(values)
+    if 6 <= table.shape[1] <= 10:
+        return _read_mot(path, table.to_numpy(np.float64))
     raise GeoaimError(
-        f"{path} has {values.shape[1]} columns and no header; MOT has 6 to 10 and geo-trax 14 or "
-        "15; a .csv with a header such as frame,left,top,width,height is read too"
-    )
-
-
-def _to_names(numbers: Float[Array, "m"]) -> list[str]:
-    """Names of whole numbers; "" for negative ones."""
-    return ["" if value < 0 or np.isnan(value) else f"{value:g}" for value in numbers]
-
-
-def _read_geotrax(values: Float[Array, "m c"]) -> RawBoxes:
-    column = {name: values[:, number] for number, name in enumerate(PIXEL_COLUMNS)}
-    rows = {
-        "frame": column["frame"],
-        "id": _to_names(column["track"]),
-        "class": _to_names(column["class"]),
-        "score": column["confidence"],
-    }
-    names = [VEHICLE_CLASSES.get(number, "") for number in range(max(VEHICLE_CLASSES) + 1)]
-    box = np.column_stack([column[name] for name in GEOTRAX_BOX])
-    return RawBoxes(
-        "geo-trax", pd.DataFrame(rows), box, ("xywh",), usual_frame=0, class_names=names
+        f"{path} has {table.shape[1]} columns and no header; MOT has 6 to 10, and a table a header "
+        f"such as frame,left,top,width,height; {PAGE}"
     )
 
 
@@ -169,43 +142,38 @@ def _read_mot(path: Path, values: Float[Array, "m c"]) -> RawBoxes:
     tail = np.column_stack([values[:, 6:], np.full((len(values), 2), -1.0)])
     # the last three of ten are coordinates on the ground, all -1, 0 or 1 where there are none
     is_class = values.shape[1] < 10 or (tail[:, 1:2] != tail[:, 1:4]).any()
+    kinds = tail[:, 1] if is_class else np.full(len(values), -1.0)
     rows = {
         "frame": values[:, 0],
-        "id": _to_names(values[:, 1]),
         "score": tail[:, 0],
-        "class": _to_names(tail[:, 1]) if is_class else "",
+        "class": ["" if not kind >= 0 else f"{kind:g}" for kind in kinds],
     }
     box = values[:, 2:6]
-    return RawBoxes("MOT", pd.DataFrame(rows), box, ("ltwh", "ltrb"), usual_frame=1, usual_class=1)
+    return RawBoxes(pd.DataFrame(rows), box, ("ltwh", "ltrb"), usual_frame=1, usual_class=1)
 
 
-def _read_json(path: Path, columns: Mapping[str, str]) -> RawBoxes:
-    """Read COCO's annotations or its list of results, or what supervision's JSONSink writes."""
+def _read_coco(path: Path) -> RawBoxes:
+    """Read COCO's annotations or its list of results, whose image_id numbers or names frames."""
     data = json.loads(path.read_text("utf-8-sig"))
-    found = data["annotations"] if isinstance(data, dict) else data
+    found = data.get("annotations") if isinstance(data, dict) else data
     if not found:
         raise GeoaimError(f"{path} has no annotations")
-    if not isinstance(found[0], dict):
-        raise GeoaimError(f"{path} is a list of no objects; boxes are needed")
-    if "bbox" not in found[0]:
-        return name_columns(path, to_table(found), columns)
+    if not all(isinstance(entry, dict) and "bbox" in entry for entry in found):
+        raise GeoaimError(
+            f"{path} is not COCO: an entry has no bbox; read other JSON by "
+            f"read_detections(pandas.read_json({path.name!r})), as a table with a header; {PAGE}"
+        )
     if any(entry.get("attributes", {}).get("rotation", 0) for entry in found):
         raise GeoaimError(
             f"{path} has boxes with a rotation, which COCO's boxes do not hold; export them as "
             "oriented boxes of YOLO"
         )
-    return _read_coco(path, found, data if isinstance(data, dict) else {})
-
-
-def _read_coco(path: Path, found: list[dict[str, Any]], data: Mapping[str, Any]) -> RawBoxes:
-    """Read boxes of COCO, whose image_id numbers or names frames."""
+    data = data if isinstance(data, dict) else {}
     names = {entry["id"]: entry["name"] for entry in data.get("categories", [])}
     kinds = [entry.get("category_id") for entry in found]
-    ids = [e.get("track_id", e.get("attributes", {}).get("track_id", "")) for e in found]
     rows: dict[str, Any] = {
         "score": [entry.get("score", np.nan) for entry in found],
         "class": [str(names.get(kind, "" if names or kind is None else kind)) for kind in kinds],
-        "id": list(map(str, ids)),
     }
     images = [entry["image_id"] for entry in found]
     listed = list(map(str, images))
@@ -222,7 +190,6 @@ def _read_coco(path: Path, found: list[dict[str, Any]], data: Mapping[str, Any])
     else:
         rows["name"] = listed
     return RawBoxes(
-        "COCO",
         pd.DataFrame(rows),
         np.array([entry["bbox"] for entry in found], np.float64),
         ("ltwh", "ltrb"),

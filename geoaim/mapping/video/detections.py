@@ -25,7 +25,6 @@ from geoaim.mapping.video.detection_checks import (
     RawBoxes,
     convert_form,
     find_oriented_boxes,
-    find_repeated_ids,
     get_bounds,
     judge_boxes,
     judge_scores,
@@ -60,7 +59,6 @@ class DetectedBoxes:
     corners: Float[Array, "N 4 2"] | None = None
     scores: Float[Array, " N"] | None = None  # confidences, 0 to 1; None: not known
     types: tuple[str, ...] = ()  # agent types, "" for one that is not known; (): none is
-    ids: tuple[str, ...] = ()  # ids that a tracker gave, "" for none; (): none
     # which corners lie where what was searched ends, beside the frame's border; None: none does
     at_border: Bool[Array, "N 4"] | None = None
 
@@ -84,10 +82,6 @@ class DetectedBoxes:
         """Get the types, "" where they are not known."""
         return np.array(self.types or ("",) * len(self.boxes), object)
 
-    def get_ids(self) -> Shaped[Array, " N"]:
-        """Get the ids, "" where there are none."""
-        return np.array(self.ids or ("",) * len(self.boxes), object)
-
 
 # Boxes of a frame; None for a frame without labels.
 Detections = Callable[[Frame], DetectedBoxes | None]
@@ -102,10 +96,10 @@ class BoxReader:
         self, raw: RawBoxes, source: str, options: BoxOptions, listed: FrameList | None = None
     ) -> None:
         self._raw, self._source, self._options, self._listed = raw, source, options, listed
-        self._frames = _find_frames(raw, source, options, listed)
+        self._frames: FrameRows | None = None
         self._picture: tuple[int, int] | None = None
-        self.summary = raw.format
         if listed is not None:
+            self._frames = _find_frames(raw, source, options, listed)
             self._judge(listed.size)
 
     def bind(self, listed: FrameList | None) -> "BoxReader":
@@ -119,13 +113,14 @@ class BoxReader:
             return BoxReader(self._raw, self._source, self._options, listed)
         except GeoaimError as error:
             if self._listed is None and "has boxes of" in str(error):
-                self.summary += f"; {error}"
                 return self
             raise
 
     def __call__(self, frame: Frame) -> DetectedBoxes | None:
         """Get the boxes of a frame; None where they are not known."""
-        rows = self._frames.find(frame.name, frame.index, frame.time)
+        if self._frames is None:
+            self._frames = _find_frames(self._raw, self._source, self._options, None)
+        rows = self._frames.find(frame.name, frame.index)
         if rows is None:
             return None
         if self._listed is None or self._picture is None:
@@ -135,23 +130,16 @@ class BoxReader:
         rows = rows[self._usable[rows]]
         corners = None if self._corners is None else self._corners[rows]
         return DetectedBoxes(
-            self._boxes[rows],
-            corners,
-            self._scores[rows],
-            tuple(self._types[rows]),
-            tuple(self._ids[rows]),
+            self._boxes[rows], corners, self._scores[rows], tuple(self._types[rows])
         )
 
     def _judge(self, picture: tuple[int, int]) -> None:
         raw, options = self._raw, self._options
         numbers, usable, remarks = judge_boxes(raw, picture, options, self._source)
         self._scores, remark = judge_scores(raw.rows["score"].to_numpy(np.float64))
-        names = options.classes or raw.class_names
-        is_builtin = not options.classes and bool(raw.class_names)
-        written = raw.rows["class"].tolist()
-        classes, other = name_classes(written, names, raw.usual_class, is_builtin=is_builtin)
+        names, usual = options.classes or raw.class_names, raw.usual_class
+        classes, other = name_classes(raw.rows["class"].tolist(), names, usual)
         self._types = np.array(map_classes(classes), object)
-        self._ids = raw.rows["id"].to_numpy(object)
         self._usable = usable & (np.array(classes, object) != IGNORED)
         self._boxes, self._corners = get_bounds(numbers), None
         if numbers.shape[1] == 8:
@@ -160,12 +148,9 @@ class BoxReader:
                 self._corners = order_corners(numbers.reshape(-1, 4, 2))
             else:
                 remarks.append("its four corners are no rectangles: their upright bounds are taken")
-        remarks += find_repeated_ids(raw.rows)
+        assert self._frames is not None
         remarks = [*raw.remarks, *self._frames.remarks, *remarks, *filter(None, (remark, other))]
         is_first, self._picture = self._picture is None, picture
-        self.summary = (
-            f"{raw.format}, {self._usable.sum()} boxes{''.join('; ' + r for r in remarks)}"
-        )
         if remarks and is_first:
             warn(f"{self._source}: {'; '.join(remarks)}")
 
@@ -177,7 +162,7 @@ def _find_frames(
     rows = raw.rows
     if "time" in rows:
         groups = group_by_value(rows["time"].to_numpy(np.float64))
-        return place_times(groups, frames=listed, source=source, unit=raw.time_unit)
+        return place_times(groups, frames=listed, source=source)
     if "frame" in rows:
         groups = group_by_value(np.round(rows["frame"].to_numpy(np.float64)))
         if raw.all_frames is not None:
@@ -219,15 +204,13 @@ def read_detections(  # noqa: PLR0913  (its options)
     Args:
         source: a folder of text files in YOLO's format, named like the frames' images or by the
             frames' indices (`000123.txt`, `123.txt`, or `hover_124.txt` as ultralytics names them,
-            from 1); a file of all frames (MOT, geo-trax, JSON of COCO or of supervision, or a CSV
-            with a header); a table of pandas with the columns of such a CSV; an iterable with an
-            entry for each frame, or a function of a `Frame`. An entry is an array of rows left,
-            top, right, bottom
-            in pixels, after which score and class, or an id, may follow; an object with `xyxy` as
-            those of supervision and ultralytics; a table; a `DetectedBoxes`; or None for a frame
-            without labels.
-        columns: names of a CSV's columns by what they hold: frame or time (s), id, class, score,
-            and left, top, right, bottom or x, y, width, height (of the box's middle), pixels.
+            from 1); a file of all frames (MOT, COCO's JSON, or a CSV with a header); a table of
+            pandas with the columns of such a CSV; an iterable with an entry for each frame, or a
+            function of a `Frame`. An entry is an array of rows left, top, right, bottom in pixels,
+            after which score and class may follow; an object with `xyxy` as those of supervision
+            and ultralytics; a `DetectedBoxes`; or None for a frame without labels.
+        columns: names of a CSV's columns by what they hold: frame or time (s), class, score, and
+            left, top, right, bottom or x, y, width, height (of the box's middle), pixels.
         rate: frames per second by which frame numbers of a file, or entries, count; None: they
             number the frames of the video.
         classes: names of class numbers from 0 on, or pairs such as `3=car`; those of a
@@ -236,8 +219,8 @@ def read_detections(  # noqa: PLR0913  (its options)
         size: (width, height) of the pictures that boxes are of, pixels; None: found.
         first: number of the first frame; None: found.
         video: the video that the boxes are of. With it the names of files are checked, numbers
-            that count from 1 are found, and times belong to their nearest frames; None: names tell
-            nothing of that, and a frame takes the boxes of the nearest time.
+            that count from 1 are found, and times belong to their nearest frames; None: the one
+            that the boxes are given to next tells.
 
     Returns:
         A function from a `Frame` to its boxes, or to None for a frame without any known.
@@ -246,8 +229,7 @@ def read_detections(  # noqa: PLR0913  (its options)
         GeoaimError: the file or folder holds no detections in a known format, or none of the
             frames of the video.
     """
-    from geoaim.mapping.video.detection_columns import to_table  # which need pandas
-    from geoaim.mapping.video.detection_files import read_raw_boxes
+    from geoaim.mapping.video.detection_files import read_raw_boxes  # which needs pandas
 
     listed = None if video is None else video.listed
     if isinstance(source, BoxReader):
@@ -260,7 +242,8 @@ def read_detections(  # noqa: PLR0913  (its options)
     if isinstance(source, str | Path):
         return BoxReader(read_raw_boxes(Path(source), columns), str(source), options, listed)
     if hasattr(source, "columns"):
-        return BoxReader(read_raw_boxes(to_table(source), columns), "the table", options, listed)
+        table: Any = source.to_pandas() if hasattr(source, "to_pandas") else source  # of polars
+        return BoxReader(read_raw_boxes(table, columns), "the table", options, listed)
     return BoxReader(_join_entries(source), "the boxes", options, listed)
 
 
@@ -299,8 +282,10 @@ def convert_boxes(value: Any, form: str | None = None) -> DetectedBoxes | None:
     Results of ultralytics have `boxes` or `obb`, with xyxy (or xyxyxyxy), conf, cls and id; those
     of supervision xyxy, confidence, class_id, tracker_id and names in `data`.
     """
-    if value is None or isinstance(value, DetectedBoxes):
-        return value
+    if value is None:
+        return None
+    if isinstance(value, DetectedBoxes):
+        return replace(value, types=map_classes(value.types))
     from geoaim.mapping.video.detection_entries import convert_entry  # which needs pandas
 
     raw = convert_entry(value)
@@ -314,13 +299,11 @@ def convert_boxes(value: Any, form: str | None = None) -> DetectedBoxes | None:
             f"say what they are by form, one of {', '.join(FORMS)}"
         )
     scores = raw.rows["score"].to_numpy(np.float64)
-    has_types, has_ids = (raw.rows[key].astype(bool).any() for key in ("class", "id"))
     return DetectedBoxes(
         ends,
         order_corners(numbers.reshape(-1, 4, 2)) if numbers.shape[1] == 8 else None,
         None if np.isnan(scores).all() else scores,
-        map_classes(raw.rows["class"].tolist()) if has_types else (),
-        tuple(raw.rows["id"]) if has_ids else (),
+        map_classes(raw.rows["class"].tolist()) if raw.rows["class"].astype(bool).any() else (),
     )
 
 

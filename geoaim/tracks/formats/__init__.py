@@ -64,7 +64,7 @@ from geoaim.tracks.formats.interaction import read_interaction, read_sind
 from geoaim.tracks.formats.levelx import read_highd, read_ind
 from geoaim.tracks.formats.motion import derive_motion, derive_speeds
 from geoaim.tracks.formats.pixels import read_pixels
-from geoaim.tracks.formats.scenarionet import read_scenarionet, read_scenarionet_lights
+from geoaim.tracks.formats.scenarionet import read_scenarionet
 from geoaim.tracks.formats.stanford import read_sdd, read_trajnet
 
 __all__ = [
@@ -79,7 +79,6 @@ __all__ = [
     "read_interaction",
     "read_pixels",
     "read_scenarionet",
-    "read_scenarionet_lights",
     "read_sdd",
     "read_sind",
     "read_tracks",

@@ -45,7 +45,7 @@ def test_zero_shot_models_stand_beside_baselines_and_the_recordings_rates(
 
 def test_what_is_told_beforehand_is_counted_with_what_came(recording, monkeypatch, tmp_path):
     scene = slice_scene(recording.make_scene(0.1), slice(0, 130))
-    monkeypatch.setattr(zero_shot, "_list_tested", lambda: {"here": lambda: [scene]})
+    monkeypatch.setattr(zero_shot, "_list_tested_places", lambda: {"here": lambda: [scene]})
     monkeypatch.setattr(zero_shot, "TESTED_S", (3,))
     paths = zero_shot.run_tests_before(Workspace(tmp_path, tmp_path))
     (row,) = json.loads(paths[0].read_text())["places"]

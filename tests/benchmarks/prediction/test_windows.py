@@ -18,7 +18,7 @@ from benchmarks.prediction.windows import (
     reverse_paths,
 )
 from geoaim.base.errors import TracksError
-from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.baselines import BASELINES, NOISY
 from geoaim.prediction.config import Config
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.training import init_model
@@ -91,7 +91,7 @@ def test_straight_paths_are_predicted_and_measured_in_pixels(folder):
     metrics = evaluate_windows(BASELINES["constant velocity"], read(folder, None), 20)
     assert metrics["minADE_px"].mean < 0.05
     assert set(metrics) == {"minADE_px", "minADE_m", "minFDE_px", "minFDE_m"}
-    noisy = evaluate_windows(BASELINES["constant velocity with noise"], read(folder, None), 1)
+    noisy = evaluate_windows(BASELINES[NOISY], read(folder, None), 1)
     ratio = noisy["minADE_px"].sums / noisy["minADE_m"].sums
     assert ratio == pytest.approx(np.r_[np.full(5, 20), np.full(5, 40)], rel=1e-4)
 

@@ -11,7 +11,12 @@ from geoaim.aim.position import CHI2_2D, read_position_covariance, state_positio
 from geoaim.base.errors import AlignmentError, GeoaimWarning
 from geoaim.base.geometry import translation
 from geoaim.imagery.alignment.before_after import draw_alignment
-from geoaim.imagery.alignment.evidence import AimEvidence, align_mosaic, place_mosaic
+from geoaim.imagery.alignment.evidence import (
+    AimEvidence,
+    TracksEvidence,
+    align_mosaic,
+    place_mosaic,
+)
 from geoaim.imagery.alignment.parts import Labels, align_parts, crop_to_mask, mask_imagery
 from geoaim.imagery.alignment.result import ImageryAlignment, Prior
 from geoaim.imagery.mosaic import Mosaic
@@ -49,6 +54,14 @@ def test_halves_of_two_files_are_placed_each_for_itself():
     assert "m east" in lines["part west.tif"]
     figure = draw_alignment(found, aim=aim)
     assert figure.axes[2].get_title("left").endswith("2 parts")
+
+
+def test_tracks_place_files_as_one_and_say_so():
+    _, photo, labels = halves(((0.5, 0.0), (-0.5, 0.0)))
+    evidence = TracksEvidence(made()[2], Prior(8.0, 0.0, 0.0))
+    with pytest.warns(GeoaimWarning, match="the 2 files of the imagery as one.*--aim"):
+        [part] = align_mosaic(Mosaic(photo, labels, NAMES), evidence)
+    assert part.mask.all()
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@ import numpy as np
 
 from geoaim.base.geometry import translation
 from geoaim.imagery.alignment.result import ImageryAlignment
-from geoaim.imagery.alignment.tracks_parts import forget_undetermined, weigh_alignment
+from geoaim.imagery.alignment.weighing import forget_undetermined, weigh_alignment
 
 SHIFT = np.array([5.0, 2.0])
 

@@ -89,57 +89,30 @@ def test_arrays_of_four_numbers_are_told_apart(truth, video, convert):
     assert bool(said) == (convert in (to_ltwh, to_xywh))
 
 
-@pytest.mark.parametrize("extra", ["id", "score", "score class", "id score class"])
-def test_arrays_with_further_columns_are_not_shuffled(truth, video, extra):
-    values = {"id": lambda n: np.arange(n) + 3, "score": lambda n: np.full(n, 0.7)}
-    values["class"] = lambda n: np.full(n, 2.0)
-    entries = [
-        np.column_stack([boxes, *[values[name](len(boxes)) for name in extra.split()]])
-        for boxes in truth
-    ]
-    frames, _ = read(entries, video)
+def test_a_score_and_a_class_may_follow_in_arrays(truth, video):
+    entries = [np.column_stack([b, np.full(len(b), 0.7), np.full(len(b), 2.0)]) for b in truth]
+    frames, _ = read(entries, video, classes=["2=bus"])
     check(frames, truth)
-    assert (frames[3].ids[0] == "3") == ("id" in extra)
-    assert (frames[3].scores[0] == 0.7) == ("score" in extra)
+    assert (frames[3].scores[0], frames[3].types[0]) == (0.7, "bus")
+    entries = [np.column_stack([boxes, np.arange(len(boxes)) + 3]) for boxes in truth]
+    frames, said = read(entries, video)  # ids
+    check(frames, truth)
+    assert "scores are not used" in said
 
 
 def test_columns_of_no_plain_meaning_are_refused(truth, video):
-    entries = [np.column_stack([boxes, np.full(len(boxes), -0.4)]) for boxes in truth]
-    with pytest.raises(GeoaimError, match="5 columns whose meaning is not plain"):
-        read(entries, video)
+    for count, message in ((2, "the sixth column of boxes is no class"), (3, r"shape \(\d+, 7\)")):
+        entries = [np.column_stack([b, np.full((len(b), count), 0.4)]) for b in truth]
+        with pytest.raises(GeoaimError, match=f"{message}.*left, top, right, bottom.*two lines"):
+            read(entries, video)
 
 
-def test_results_in_a_stream_and_in_tables_are_read(truth, video):
+def test_results_in_a_stream_are_read(truth, video):
     part = [SimpleNamespace(xyxy=boxes, conf=np.full(len(boxes), 0.5)) for boxes in truth]
     frames, _ = read((SimpleNamespace(boxes=boxes, names={}) for boxes in part), video)
     check(frames, truth)
-    names = ["xmin", "ymin", "xmax", "ymax"]
-    tables = [pd.DataFrame(boxes, columns=names).assign(confidence=0.5) for boxes in truth]
-    frames, _ = read(tables, video)
-    check(frames, truth)
-    records = [
-        [{"name": "car", "class": 2, "box": dict(zip(["x1", "y1", "x2", "y2"], box, strict=True))}
-         for box in boxes.tolist()]
-        for boxes in truth
-    ]  # fmt: skip
-    frames, _ = read(records, video)
-    check(frames, truth)
-    assert frames[0].types[0] == "car"
-
-
-def test_oriented_boxes_of_ultralytics_tables_keep_their_corners(video):
-    corners = {
-        "x1": 100,
-        "y1": 100,
-        "x2": 180,
-        "y2": 110,
-        "x3": 175,
-        "y3": 150,
-        "x4": 95,
-        "y4": 140,
-    }
-    frames, _ = read([[{"name": "car", "class": 2, "box": corners}]], video)
-    np.testing.assert_allclose(frames[0].corners[0, 0], [100, 100])
+    with pytest.raises(GeoaimError, match="xyxy of the shape"):  # YOLOv5
+        read([SimpleNamespace(xyxy=[boxes]) for boxes in truth], video)
 
 
 @pytest.mark.parametrize(
@@ -151,10 +124,9 @@ def test_oriented_boxes_of_ultralytics_tables_keep_their_corners(video):
         ("x1,y1,x2,y2", lambda boxes: boxes),
         ("x1,y1,x2,y2", lambda boxes: boxes / [WIDTH, HEIGHT, WIDTH, HEIGHT]),
         ("cx,cy,w,h", lambda boxes: to_xywh(boxes) / [WIDTH, HEIGHT, WIDTH, HEIGHT]),
-        ("x1,y1,x2,y2", lambda boxes: boxes / 2),
     ],
 )
-def test_tables_in_any_form_unit_and_scale(tmp_path, truth, video, names, convert):
+def test_tables_in_any_form_and_unit(tmp_path, truth, video, names, convert):
     frames, said = read(write_csv(tmp_path / "a.csv", truth, names, convert), video)
     check(frames, truth)
     plain = names in ("left,top,width,height",) or (names == "x,y,w,h" and convert is to_xywh)
@@ -168,26 +140,29 @@ def test_sizes_that_do_not_fit_are_refused(tmp_path, truth, video):
     check(read(path, video, size=(2 * WIDTH, 2 * HEIGHT))[0], truth)
 
 
+@pytest.mark.parametrize("scale", [0.5, 100 / np.array([WIDTH, HEIGHT] * 2)])
+def test_sizes_that_leave_the_picture_empty_are_said(tmp_path, truth, video, scale):
+    path = write_csv(tmp_path / "a.csv", truth, "x1,y1,x2,y2", lambda boxes: scale * boxes)
+    _, said = read(path, video)
+    assert "of 1280 x 720 pixels only; if they are of pictures of another size" in said
+
+
 def test_other_separators_decimals_and_clocks(tmp_path, truth, video):
     rows = number(truth)
     text = "\n".join(";".join(f"{v:.2f}".replace(".", ",") for v in row) for row in rows)
     path = tmp_path / "a.csv"
     path.write_text("frame;id;x1;y1;x2;y2\n" + text + "\n")
     check(read(path, video)[0], truth)
-    seconds = [[step / RATE, *box] for step, boxes in enumerate(truth) for box in boxes]
-    for factor, name in ((1, "time"), (1e3, "time_ms"), (1e6, "timestamp_us")):
-        scaled = [[factor * row[0], *row[1:]] for row in seconds]
-        frames, said = read(write_rows(path, scaled, f"{name},x1,y1,x2,y2"), video)
-        check(frames, truth)
-        assert said == ""
-    _, said = read(write_rows(path, scaled, "time,x1,y1,x2,y2"), video)
-    assert "a column time_ms holds others" in said
-    stamps = pd.Timestamp("2026-05-01T12:00:00Z") + pd.to_timedelta(np.array(seconds)[:, 0], "s")
-    table = pd.DataFrame(np.array(seconds)[:, 1:], columns=["x1", "y1", "x2", "y2"])
-    frames, said = read(table.assign(time=stamps.astype(str)), video)
+    seconds = np.column_stack([rows[:, 0] / RATE, rows[:, 2:]])
+    frames, said = read(write_rows(path, seconds, "time,x1,y1,x2,y2"), video)
     check(frames, truth)
-    assert "count from its first box" in said
-    check(read(table.assign(time=stamps.astype(str), frame=rows[:, 0]), video)[0], truth)
+    assert said == ""
+    unread = read_detections(path)
+    with pytest.raises(GeoaimError, match="by time, and the times of the frames are not known"):
+        unread(next(iter(video)))
+    write_rows(path, seconds * [1e3, 1, 1, 1, 1], "time_ms,x1,y1,x2,y2")
+    with pytest.raises(GeoaimError, match=r"time_ms, x1, .* time \(s\) .* is needed.*two lines"):
+        read(path, video)
 
 
 @pytest.mark.parametrize("clock", ["rate", "time", "stride"])
@@ -319,7 +294,7 @@ def test_coco_of_resized_pictures_is_scaled(tmp_path, truth, video):
     assert "640 x 360" in said
 
 
-def test_supervisions_sink_is_read(tmp_path, truth, video):
+def test_json_of_other_programs_is_refused_with_the_way(tmp_path, truth, video):
     names = ["x_min", "y_min", "x_max", "y_max"]
     rows = [
         dict(zip(names, box, strict=True)) | {"class_id": 2, "frame_index": step}
@@ -327,7 +302,9 @@ def test_supervisions_sink_is_read(tmp_path, truth, video):
         for box in boxes.tolist()
     ]
     (tmp_path / "a.json").write_text(json.dumps(rows))
-    check(read(tmp_path / "a.json", video)[0], truth)
+    with pytest.raises(GeoaimError, match=r"not COCO.*read_detections\(pandas\.read_json\('a.json"):
+        read(tmp_path / "a.json", video)
+    check(read(pd.read_json(tmp_path / "a.json"), video)[0], truth)
 
 
 def test_polygons_of_four_points_are_no_oriented_boxes(tmp_path, video):
@@ -338,15 +315,11 @@ def test_polygons_of_four_points_are_no_oriented_boxes(tmp_path, video):
 
 
 def test_scores_and_areas_that_cannot_be_are_said(truth, video):
-    def change(boxes):
-        return np.column_stack([boxes, np.full(len(boxes), 85.0), np.zeros(len(boxes))])
-
     table = pd.DataFrame(number(truth), columns=["frame", "id", "x1", "y1", "x2", "y2"])
-    frames, said = read(table.assign(score=85.0), video)
-    assert "percent" in said
-    assert frames[0].scores[0] == 0.85
-    _, said = read(table.assign(score=-3.5), video)
-    assert "scores are not used" in said
+    for score in (85.0, -3.5):
+        frames, said = read(table.assign(score=score), video)
+        assert "scores are not used" in said
+        assert np.isnan(frames[0].scores).all()
     table.loc[0, "x2"] = table.loc[0, "x1"]
     frames, said = read(table, video)
     assert "1 boxes without an area" in said
@@ -373,15 +346,18 @@ def test_the_docs_have_a_row_for_each_format():
         assert f"\n| {known} |" in page
 
 
-def test_numbers_of_classes_count_from_0_in_built_in_names_and_from_what_a_list_has():
+def test_numbers_of_classes_count_from_0_and_otherwise_by_pairs():
     names = ["car", "bus"]
-    known = ["", "car", "truck", "bus"]
-    assert name_classes(["1", "3"], known, 1, is_builtin=True) == (["car", "bus"], "")
-    assert name_classes(["0", "1"], names, None, is_builtin=False) == (names, "")
-    found, remark = name_classes(["1", "2"], names, None, is_builtin=False)
+    assert name_classes(["0", "1"], names, None) == (names, "")
+    found, remark = name_classes(["1", "2"], names, None)
+    assert (found, remark) == (["bus", "2"], "its classes 2 have no name in --classes")
+    found, remark = name_classes(["1", "1"], names, None)
+    assert found == ["bus", "bus"]
+    assert "count from 0, it is assumed; --classes 1=... says otherwise" in remark
+    found, remark = name_classes(["1", "2"], names, 1)
     assert found == names
     assert "count from 1" in remark
-    assert name_classes(["7=", "7"], ["7=truck"], 0, is_builtin=False)[0] == ["7=", "truck"]
-    found, remark = name_classes(["0", "5"], names, 0, is_builtin=False)
+    assert name_classes(["7=", "7"], ["7=truck"], 0)[0] == ["7=", "truck"]
+    found, remark = name_classes(["0", "5"], names, 0)
     assert found == ["car", "5"]
     assert "5 have no name" in remark

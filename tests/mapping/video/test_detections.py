@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geoaim.base.errors import GeoaimError
-from geoaim.mapping.video.detections import mask_boxes, read_detections
+from geoaim.mapping.video.detections import DetectedBoxes, mask_boxes, read_detections
 from geoaim.mapping.video.video import open_video
 
 
@@ -46,30 +46,28 @@ def test_results_of_ultralytics_and_supervision_are_read_by_their_attributes(fra
         xyxy=boxes,
         confidence=np.array([0.5]),
         class_id=np.array([2]),
-        tracker_id=np.array([7]),
         data={"class_name": np.array(["person"])},
     )
-    part = SimpleNamespace(xyxy=boxes, conf=np.array([0.5]), cls=np.array([0]), id=np.array([7.0]))
+    part = SimpleNamespace(xyxy=boxes, conf=np.array([0.5]), cls=np.array([0]))
     of_ultralytics = SimpleNamespace(boxes=part, obb=None, names={0: "person"})
     for value in (of_supervision, of_ultralytics):
         found = read_detections([value])(frame)
         np.testing.assert_array_equal(found.boxes, boxes)
-        assert (found.types, found.ids, found.scores.tolist()) == (("pedestrian",), ("7",), [0.5])
+        assert (found.types, found.scores.tolist()) == (("pedestrian",), [0.5])
 
 
 def test_classes_of_aerial_data_sets_are_types_or_left_to_the_size(frame):
     corners = np.array([[[0.0, 0], [1, 0], [1, 4], [0, 4]]] * 2)
     cls, names = np.array([0, 1]), {0: "small vehicle", 1: "large vehicle"}
-    obb = SimpleNamespace(xyxy=corners[:, 0], xyxyxyxy=corners, cls=cls, conf=None, id=None)
+    obb = SimpleNamespace(xyxy=corners[:, ::2].reshape(-1, 4), xyxyxyxy=corners, cls=cls, conf=None)
     found = read_detections(lambda _: SimpleNamespace(obb=obb, names=names))(frame)
     assert found.types == ("car", "")
 
 
-def test_records_of_sliced_predictions_are_read(frame):
-    record = {"xmin": 1.0, "ymin": 2.0, "xmax": 3.0, "ymax": 5.0, "score": 0.7, "class": "bus"}
-    found = read_detections(lambda _: [record])(frame)
-    np.testing.assert_array_equal(found.boxes, [[1, 2, 3, 5]])
-    assert (found.types, found.scores.tolist()) == (("bus",), [0.7])
+def test_boxes_made_in_python_have_types_by_any_usual_name(frame):
+    boxes = DetectedBoxes(np.array([[1.0, 2, 3, 5]]), types=("Person",))
+    for source in ([boxes], lambda _: boxes):
+        assert read_detections(source)(frame).types == ("pedestrian",)
 
 
 def test_oriented_boxes_begin_with_a_long_side(frame):

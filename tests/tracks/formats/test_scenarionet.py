@@ -6,8 +6,7 @@ import pytest
 
 from geoaim.base.errors import TracksError
 from geoaim.base.world import World
-from geoaim.tracks.formats import read_scenarionet, read_scenarionet_lights, read_tracks
-from geoaim.tracks.lights import GREEN, RED, UNKNOWN
+from geoaim.tracks.formats import read_scenarionet, read_tracks
 from tests.tracks.formats import scenarionet_files as made
 
 
@@ -19,15 +18,6 @@ def test_scenario_of_another_converter_is_read(tmp_path, protocol):
     np.testing.assert_allclose(tracks.times, np.arange(made.STEPS - 1) / 10)
     np.testing.assert_allclose(tracks.states[0, 3], [1.5, 0, 0, 5], atol=1e-6)
     np.testing.assert_allclose(tracks.sizes, [[4.5, 1.8], [12, 4.8], [0.5, 0.2]], rtol=1e-6)
-
-
-def test_lights_stand_across_their_lanes(tmp_path):
-    lights = read_scenarionet_lights(made.write(tmp_path / "a.pkl"))
-    assert lights.names == ("219",)
-    np.testing.assert_allclose(lights.lines, [[[10, -1.75], [10, 1.75]]])
-    assert lights.states[:, 0].tolist() == [RED] * 5 + [GREEN] * 5 + [UNKNOWN]
-    path = made.write(tmp_path / "b.pkl", dynamic_map_states={})
-    assert read_scenarionet_lights(path) is None
 
 
 def test_malicious_file_is_refused_and_runs_nothing(tmp_path):

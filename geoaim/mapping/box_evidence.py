@@ -1,6 +1,6 @@
 """Whether boxes lie on what a video shows: on what differs from the map, where agents were."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -9,10 +9,11 @@ from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from numpy import ndarray as Array
 
 from geoaim.base.errors import warn
-from geoaim.base.geometry import transform_points
+from geoaim.base.geometry import to_opencv, transform_points
 from geoaim.mapping.video.detections import DetectedBoxes
-from geoaim.tracking.noise import MIN_BOXES
+from geoaim.mapping.video.frames import Frame
 
+MIN_BOXES = 20  # of which a statistic tells something
 WIDEST = 1280  # pixels of a frame's longer side that are compared
 FRAMES = 12  # spread over the video, in which boxes are compared with the picture
 CLEAR = 8.0  # times the median difference from the map: that of an agent
@@ -58,33 +59,61 @@ def compare(frame: Shaped[Array, "H W"], view: Shaped[Array, "H W"], known: Arra
     return np.asarray(np.minimum(difference / (CLEAR * max(np.median(difference[known]), 0.5)), 1))
 
 
+def view_frames(
+    frames: Iterable[Frame],
+    map_from_frame: Mapping[int, Float[Array, "3 3"]],
+    grey: UInt8[Array, "h w"],
+    covered: Bool[Array, "h w"],
+) -> list[View]:
+    """Compare frames, each by its number's transform to the map's pixels, with a grey map."""
+    views = []
+    for frame in frames:
+        small = shrink(frame.grey)
+        ratio = np.array([*frame.grey.shape[::-1], 1]) / [*small.shape[::-1], 1]
+        matrix = map_from_frame[frame.index] @ np.diag(ratio)
+        view, seen = view_map(grey, covered, matrix, small.shape)
+        if seen.any():
+            views.append(View(frame.index, compare(small, view, seen), seen))
+    return views
+
+
+def view_map(
+    image: UInt8[Array, "h w *c"],
+    covered: Bool[Array, "h w"],
+    map_from_frame: Float[Array, "3 3"],
+    size: tuple[int, int],
+) -> tuple[UInt8[Array, "H W *c"], Bool[Array, "H W"]]:
+    """View a map's image, grey or RGB, as a frame of that (height, width) does."""
+    matrix = to_opencv(np.linalg.inv(map_from_frame))
+    view = cv2.warpPerspective(image, matrix, size[::-1], flags=cv2.INTER_LINEAR)
+    known = cv2.warpPerspective(
+        covered.astype(np.uint8), matrix, size[::-1], flags=cv2.INTER_NEAREST
+    )
+    return np.asarray(view, np.uint8), np.asarray(known) > 0
+
+
 def check_evidence(
     views: Sequence[View],
     boxes: Mapping[int, DetectedBoxes | None],
     reference_from_frame: Mapping[int, Float[Array, "3 3"]],
     size: tuple[int, int],
     rate: float,
-) -> None:
+) -> int | None:
     """Warn where boxes do not lie on what differs from the map, or would do so read otherwise.
 
     Only boxes of agents that moved on count: who stands all the time may be in the map. Boxes and
     transforms to the pixels of one frame are by number of frame; the size is width and height, the
-    rate frames a second.
+    rate frames a second. Gives how many such boxes there are, if too few to tell.
     """
     if not views:
-        return
+        return None
     sums = [[cv2.integral(np.asarray(p, float)) for p in (v.differs, v.known)] for v in views]
     usual = float(np.mean([view.differs[view.known].mean() for view in views]))
     moving = _find_moving(boxes, reference_from_frame)
     at = [view.index for view in views]
     given, count = _weigh(sums, [moving.get(n) for n in at], usual, size)
     if count < MIN_BOXES:
-        if any(own is not None and len(own.boxes) for own in boxes.values()):
-            warn(
-                f"{count} boxes of what moves on could be compared with the picture; {MIN_BOXES} "
-                "are needed to tell whether boxes are of these frames, which is taken for granted"
-            )
-        return
+        return count
     best, text = given, ""
     for what, read in _list_readings(moving, at, size, reference_from_frame, rate):
         value, number = _weigh(sums, read, usual, size)
@@ -97,6 +126,7 @@ def check_evidence(
         warn(f"{found}; most of it is needed: are they of this video, and of these frames?")
     elif lag := _find_lag(sums, moving, at, usual, size):
         warn(f"{found}, and surely more of those {_describe_lag(lag)}")
+    return None
 
 
 def _find_moving(
