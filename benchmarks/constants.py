@@ -50,7 +50,7 @@ PACKAGE = ROOT / "geoaim"
 FACTOR = 1.5
 SAME_ERROR = 0.02  # relative change of the error that counts as none
 # files that no stage's cases reach: vehicles without boxes, and pictures
-UNREACHED = ("find_vehicles", "frame_poses", "overlay", "scale")
+UNREACHED = ("find_vehicles", "shadows", "frame_poses", "overlay", "scale")
 # kinds and ranks of validation clips: what is filmed, and each hardship at two levels
 REGISTRATION_CLIPS = {
     "plain": (2, 4),

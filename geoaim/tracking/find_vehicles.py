@@ -1,10 +1,11 @@
 """Vehicles without boxes: the network's own, in frames and in what differs from the map."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, Shaped, UInt8
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
@@ -184,9 +185,7 @@ def _find_dark(
     inside: Float[Array, "N n 2"], image: UInt8[Array, "H W 3"], change: UInt8[Array, "H W 3"]
 ) -> Bool[Array, " N"]:
     """Find which boxes are dark beside the map, by points inside them."""
-    last = np.array(image.shape[1::-1]) - 1
-    columns, rows = np.moveaxis(inside.clip(0, last).astype(int), 2, 0)
-    grey, differs = (part[rows, columns].mean(axis=2) for part in (image, change))
+    grey, differs = (_read_inside(part, inside).mean(axis=2) for part in (image, change))
     return np.asarray(np.median(grey - DARK * (grey - differs + EVEN), axis=1) < 0)
 
 
@@ -194,9 +193,7 @@ def _weigh(
     peaks: Peaks, inside: Float[Array, "N n 2"], excess: Float32[Array, "H W"], in_frame: int
 ) -> Float[Array, " N"]:
     """Weigh peaks, the first of which are of the frame itself, and say their log odds."""
-    last = np.array(excess.shape[::-1]) - 1
-    columns, rows = np.moveaxis(inside.clip(0, last).astype(int), 2, 0)
-    moved = np.log(np.maximum(excess[rows, columns].mean(axis=1) / USUAL, 1))
+    moved = np.log(np.maximum(_read_inside(excess, inside).mean(axis=1) / USUAL, 1))
     slope, offset = read_calibration()
     prior = np.where(np.arange(len(moved)) < in_frame, MOVED * moved - STILL, 0.0)
     return np.asarray(slope * peaks.logits + offset + prior)
@@ -207,6 +204,13 @@ def _sample_inside(peaks: Peaks) -> Float[Array, "N n 2"]:
     corners = peaks.get_corners()
     along, across = (corners[:, k, None] - corners[:, 0, None] for k in (1, 3))
     return peaks.centres[:, None] + WITHIN[:, :1] * along + WITHIN[:, 1:] * across
+
+
+def _read_inside(picture: Shaped[Array, "H W *c"], inside: Float[Array, "N n 2"]) -> Any:
+    """Read the pixels of a picture at points."""
+    last = np.array(picture.shape[1::-1]) - 1
+    columns, rows = np.moveaxis(inside.clip(0, last).astype(int), 2, 0)
+    return picture[rows, columns]
 
 
 def _choose(found: _Found, rows: Int[Array, " n"]) -> DetectedBoxes:

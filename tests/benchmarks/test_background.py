@@ -162,13 +162,13 @@ def test_missed_pixels_differ_and_are_not_contested():
 
 
 def test_damaged_boxes_are_fewer_or_smaller():
-    boxes = np.tile([[10.0, 10, 30, 20]], (200, 1))
+    boxes = np.tile([[10.0, 10, 38, 38]], (200, 1))
     detections = read_detections([boxes])
     frame = Frame(0, 0.0, None, np.zeros((40, 40, 3), np.uint8))
     fewer = damage_boxes(detections, missing=0.1)(frame)
     assert 160 < len(fewer.boxes) < 198
     smaller = damage_boxes(detections, scale=0.9)(frame)
-    assert smaller.boxes[0] == pytest.approx([11, 10.5, 29, 19.5])
+    assert smaller.boxes[0] == pytest.approx([11.4, 11.4, 36.6, 36.6])
 
 
 @pytest.mark.parametrize("speed", [14.0, 9.0])
