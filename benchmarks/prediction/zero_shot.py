@@ -31,7 +31,7 @@ from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import MIN_SEGMENTS, Metric, concat, keep_rates
 from geoaim.prediction.predict import draw_covering
 from geoaim.prediction.segments import Segments
-from geoaim.prediction.trial import compare_with_noise, judge_before
+from geoaim.prediction.trial import choose_noise, compare_with_noise, judge_before
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.rendering.scene import Scene, slice_scene
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
@@ -40,7 +40,9 @@ LATER_S = (5, 8)  # horizons beside the models' own, of recordings that are long
 TESTED_S = (3, 8)  # horizons at which the test before a prediction is judged
 MAX_STARTS = 16  # of predictions at one place, at even intervals
 MINUTES = 3.0  # of made traffic
-Starts = list[tuple[dict[str, Metric], dict[str, Metric]]]
+GIVEN = "as predict gives"
+NAMES = ("model", NOISY, GIVEN)
+Starts = list[tuple[dict[str, Metric], dict[str, dict[str, Metric]]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,21 +115,16 @@ def _judge_tests(scenes: Sequence[Scene], seconds: float) -> dict[str, float | s
     ]
     found: Starts = []
     for scene, start, segment in starts[:: max(1, -(-len(starts) // MAX_STARTS))]:
-        after = _judge_after(model, scene, segment)
-        found.append((judge_before(model, scene, start, horizon), after))
+        before = judge_before(model, scene, start, horizon)
+        found.append((before, _judge_after(model, scene, segment, choose_noise(before))))
     told = [before for before in found if before[0] and before[0]["model"].counts.any()]
-    sums = {name: _average(found, name) for name in ("model", NOISY)}
-    row: dict[str, float | str] = {
-        f"minADE after, {name}": round(value, 2) for name, value in sums.items()
-    }
+    row: dict[str, float | str] = {f"after, {name}": _describe(found, name) for name in NAMES}
     row |= {"starts": len(found), "untested": len(found) - len(told)}
     for answer in ("better", "as good", "worse"):
         some = [one for one in told if compare_with_noise(one[0]) == answer]
-        right = sum(one["model"].mean < one[NOISY].mean for _, one in some)
-        cell = f"{len(some)}, {right}"
-        if some:
-            cell += f" ({_average(some, 'model'):.2f}, {_average(some, NOISY):.2f})"
-        row[f"told {answer}, then better"] = cell
+        right = sum(one["model"]["minADE"].mean < one[NOISY]["minADE"].mean for _, one in some)
+        means = ", ".join(f"{_average(some, name, 'minADE'):.2f}" for name in NAMES if some)
+        row[f"told {answer}, then better"] = f"{len(some)}, {right}" + (f" ({means})" * bool(some))
     return row
 
 
@@ -141,24 +138,33 @@ def _cut_after(scene: Scene, start: int, horizon: int) -> Segments | None:
         return None
 
 
-def _judge_after(model: ITRA, scene: Scene, segment: Segments) -> dict[str, Metric]:
-    """minADE after a start: of the futures that `predict` gives, and of noise."""
+def _judge_after(
+    model: ITRA, scene: Scene, segment: Segments, noise: float
+) -> dict[str, dict[str, Metric]]:
+    """Metrics after a start: of the model alone, of noise, and of what `predict` gives."""
     ground = prefilter_ground(scene.ground, model.config.resolution)
     predictors: dict[str, Predictor] = {
         "model": partial(draw_covering, model),
         NOISY: BASELINES[NOISY],
     }
+    if noise:
+        predictors[GIVEN] = partial(draw_covering, model, noise=noise)
     given = segment, ground, EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
-    return {
-        name: evaluate(predictor, *given, progress=no_progress)["minADE"]
+    found = {
+        name: evaluate(predictor, *given, progress=no_progress)
         for name, predictor in predictors.items()
     }
+    return {GIVEN: found["model"]} | found
 
 
-def _average(found: Starts, name: str) -> float:
+def _average(found: Starts, name: str, metric: str) -> float:
     """The mean of a predictor's errors after some starts."""
-    parts = [{"minADE": after[name]} for _, after in found]
-    return concat(parts)["minADE"].mean if parts else float("nan")
+    parts = [{metric: after[name][metric]} for _, after in found]
+    return concat(parts)[metric].mean if parts else float("nan")
+
+
+def _describe(found: Starts, name: str) -> str:
+    return " / ".join(f"{_average(found, name, one):.2f}" for one in ("minADE", "joint minADE"))
 
 
 def _list_sets() -> Mapping[str, RecordingSet]:

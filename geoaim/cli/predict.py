@@ -51,7 +51,8 @@ def predict(
 
     All other agents keep their speed and heading; those whose own speed is too unsure do too, and
     are counted as left out. The pretrained model is first tested on what was recorded before
-    --start, beside constant velocity with noise. A .csv has a row for each sample, agent and time.
+    --start, beside constant velocity with noise, which is mixed in where the model is no better.
+    A .csv has a row for each sample, agent and time.
     Pictures show all samples on the map, and in white the recorded future, if there is one after
     --start.
 
@@ -63,7 +64,7 @@ def predict(
     from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
     from geoaim.prediction.predict import predict as predict_futures
     from geoaim.prediction.sureness import describe_left_out
-    from geoaim.prediction.trial import describe_trial, judge_before
+    from geoaim.prediction.trial import choose_noise, describe_trial, judge_before
     from geoaim.rendering.pictures import write_pictures
     from geoaim.rendering.scene import find_step
 
@@ -75,16 +76,18 @@ def predict(
         scene, _, _ = read_scene(source, rate=1 / model.config.dt)
         first, horizon = find_step(scene, start), get_horizon(model, duration)
         progress("predict", 0, 1)
+        tried = {} if weights else judge_before(model, scene, first, horizon)
         futures = predict_futures(
             model,
             scene,
             samples=samples,
             horizon=horizon,
             start=first,
+            noise=choose_noise(tried),
             generator=torch.Generator().manual_seed(seed),
         )
         progress("predict", 1, 1)
-        told = "" if weights else describe_trial(judge_before(model, scene, futures.start, horizon))
+        told = "" if weights else describe_trial(tried)
         if output.suffix.lower() == ".csv":
             write_futures(futures, output, notes=[told] if told else [])
         elif output.suffix.lower() == ".png":

@@ -26,7 +26,7 @@ from geoaim.prediction.predict import predict
 from geoaim.prediction.rollouts import Rollout
 from geoaim.prediction.segments import Segments
 from geoaim.prediction.training import init_model, learn_place, train
-from geoaim.prediction.trial import describe_trial, judge_before
+from geoaim.prediction.trial import choose_noise, describe_trial, judge_before
 
 __all__ = [
     "BASELINES",
@@ -45,6 +45,7 @@ __all__ = [
     "Segments",
     "TrainConfig",
     "bootstrap_interval",
+    "choose_noise",
     "compute_metrics",
     "configure_fine_tuning",
     "configure_training",

@@ -10,6 +10,7 @@ from torch import Tensor
 from geoaim.base.defaults import SAMPLES
 from geoaim.base.errors import warn
 from geoaim.base.limits import MAX_GB_VARIABLE, read_memory_limit
+from geoaim.prediction.baselines import BASELINES, NOISY
 from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.cutting import cut_future
 from geoaim.prediction.familiarity import measure_strangeness
@@ -42,6 +43,7 @@ def predict(  # noqa: PLR0913  (what is predicted, and how)
     horizon: int = 40,
     start: int | None = None,
     goals: Mapping[str, Goal] | None = None,
+    noise: float = 0.0,
     generator: torch.Generator,
 ) -> Futures:
     """Sample joint futures of all agents of the model's group.
@@ -56,6 +58,8 @@ def predict(  # noqa: PLR0913  (what is predicted, and how)
         start: index of the last observed step; None: the scene's last step.
         goals: way points and target speeds of agents, by their names; after its way points an agent
             goes on as the model has it. It brakes for others on the way, if the model does.
+        noise: probability that agents keep their speed and heading, known with noise, beside what
+            the model expects: `choose_noise` of what `judge_before` found.
         generator: source of the noise, on the scene's device.
 
     Returns:
@@ -86,7 +90,7 @@ def predict(  # noqa: PLR0913  (what is predicted, and how)
     segment = cut_future(scene, config.kind, config.dt, steps=steps, start=start)
     ground = prefilter_ground(scene.ground, config.resolution)
     _warn_of_strange_views(measure_strangeness(model, segment, ground, step=history - 1))
-    given: dict[str, Any] = {"history": history, "samples": samples, "goals": goals}
+    given: dict[str, Any] = {"history": history, "samples": samples, "goals": goals, "noise": noise}
     futures = draw_covering(model, segment, ground, generator=generator, **given)
     futures = futures[0, :, :, history:]
     present = segment.present[0, :, history:, None]
@@ -105,13 +109,14 @@ def draw_covering(  # noqa: PLR0913  (what is drawn, and how)
     samples: int,
     generator: torch.Generator,
     goals: Mapping[str, Goal] | None = None,
+    noise: float = 0.0,
 ) -> Float[Tensor, "B K N T 4"]:
     """Draw joint futures in which each agent has paths that cover what is expected of it.
 
-    `DRAWS` are drawn, and the proposals of the network of the place are added. Of each agent's
-    paths those are chosen by which the expected error of the best one is least. Then all agents
-    follow theirs, the first future of the best single guesses, and brake for each other as the
-    model does.
+    `DRAWS` are drawn, as many at constant velocity with noise where this has a probability, and the
+    proposals of the network of the place are added. Of each agent's paths those are chosen by which
+    the expected error of the best one is least. Then all agents follow theirs, the first future of
+    the best single guesses, and brake for each other as the model does.
 
     It takes and gives what `ITRA.sample` does; `DRAWS` samples and more are plain draws.
     """
@@ -120,14 +125,21 @@ def draw_covering(  # noqa: PLR0913  (what is drawn, and how)
     drawn = model.sample(segments, ground, samples=max(samples, DRAWS), **given)
     if samples >= DRAWS:
         return drawn
-    pool, weights = drawn, drawn.new_full((*segments.controlled.shape, DRAWS), 1 / DRAWS)
+    pool, even = drawn, drawn.new_full((*segments.controlled.shape, DRAWS), 1 / DRAWS)
+    weights = even
+    if noise:
+        constant = BASELINES[NOISY](
+            segments, ground, history=history, samples=DRAWS, generator=generator
+        )
+        pool = torch.cat([drawn, constant], dim=1)
+        weights = torch.cat([(1 - noise) * even, noise * even], dim=2)
     if model.own_place is not None:
         plans, shares = model.own_place.plan(segments, history)
         shares = PLACE_SHARE * shares
         weights = torch.cat([weights * (1 - shares.sum(dim=2, keepdim=True)), shares], dim=2)
         plans = extend(plans, segments.steps - history, segments.dt).transpose(1, 2)
         observed = drawn[:, :1, :, :history].expand(-1, plans.shape[1], -1, -1, -1)
-        pool = torch.cat([drawn, torch.cat([observed, plans], dim=3)], dim=1)
+        pool = torch.cat([pool, torch.cat([observed, plans], dim=3)], dim=1)
     row, agent = (segments.controlled & segments.present[:, :, history - 1]).nonzero().unbind(1)
     chosen = choose_covering(pool[row, :, agent, history:, :2], weights[row, agent], samples)
     paths = drawn[:, :samples].clone()

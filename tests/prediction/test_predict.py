@@ -21,7 +21,7 @@ from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
 from geoaim.prediction.predict import DRAWS, predict
 from geoaim.prediction.sureness import MAX_SPEED_SIGMA, UNKNOWN, UNSURE
 from geoaim.prediction.training import init_model
-from geoaim.prediction.trial import compare_with_noise, describe_trial, judge_before
+from geoaim.prediction.trial import choose_noise, compare_with_noise, describe_trial, judge_before
 from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.rendering.scene import make_scene, slice_scene
 from geoaim.tracks.agent_types import select_group
@@ -179,8 +179,11 @@ def test_what_was_recorded_before_tells_whether_a_model_is_better_than_noise(sce
     assert bad["model"].mean > 3 * errors["model"].mean
     assert bad[NOISY].mean == errors[NOISY].mean
     assert compare_with_noise(bad) == "worse"
-    assert "the model is worse than that here: learn the place" in describe_trial(bad)
-    assert compare_with_noise({"model": bad[NOISY], NOISY: bad["model"]}) == "better"
+    assert "the model is worse than that here, so both are mixed: learn" in describe_trial(bad)
+    assert choose_noise(bad) == 0.5
+    better = {"model": bad[NOISY], NOISY: bad["model"]}
+    assert compare_with_noise(better) == "better"
+    assert choose_noise(better) == choose_noise({}) == 0.0
     assert compare_with_noise({"model": bad[NOISY], NOISY: bad[NOISY]}) == "as good"
 
 
