@@ -147,22 +147,8 @@ def print_result(
         print_table(" and ".join(map(str, files)), lines)
 
 
-# by command, options that had other names in the version before; the next one knows them no more
-RENAMED = {
-    "align": {"--gcps": "--points"},
-    "build": {"--gcps": "--points", "--height": "--flying-height", "--crs": "--output-crs"},
-    "compare": {"--at": "--start"},
-    "predict": {"--at": "--start"},
-    "simulate": {"--video": "--film"},
-}
-
-
 class Command(TyperCommand):
     """A command whose usage line names its arguments and its required options."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse arguments, of which some may have the names of the version before."""
-        return super().parse_args(ctx, [_rename_option(self.name or "", arg) for arg in args])
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Collect the parts of the usage line, such as AIM --tracks TRACKS [OPTIONS]."""
@@ -175,16 +161,6 @@ class Command(TyperCommand):
             elif isinstance(parameter, TyperOption) and parameter.required:
                 pieces.append(f"{min(parameter.opts, key=len)} {name}")
         return [*pieces, "[OPTIONS]"]
-
-
-def _rename_option(command: str, argument: str) -> str:
-    """Rename an option that had another name, and say so; other arguments stay."""
-    old, equals, value = argument.partition("=")
-    new = RENAMED.get(command, {}).get(old)
-    if new is None:
-        return argument
-    console.print(f"{old} is now {new}; this version still takes both")
-    return new + equals + value
 
 
 class CommandGroup(TyperGroup):

@@ -8,7 +8,6 @@ import typer
 from typer.testing import CliRunner
 
 from geoaim.cli import COMMANDS, GROUPS, app
-from geoaim.cli.console import RENAMED
 
 NAMES = [command.__name__ for command in COMMANDS]
 
@@ -62,18 +61,3 @@ def test_the_commands_are_listed_in_groups_with_whole_sentences():
     for name, command in commands.items():
         sentence = " ".join(command.help.split("\n\n")[0].split())
         assert f" {name} {sentence}" in listed
-
-
-@pytest.mark.parametrize("command", RENAMED)
-def test_options_that_were_renamed_work_and_say_so(command, capsys):
-    made = typer.main.get_command(app).commands[command]
-    known = {name for option in made.params for name in option.opts}
-    for old, new in RENAMED[command].items():
-        assert new in known
-        assert old not in known
-        for given in ([old, "1"], [f"{old}=1"]):
-            context = typer.Context(made, resilient_parsing=True)
-            made.parse_args(context, given)
-            option = next(option for option in made.params if new in option.opts)
-            assert str(context.params[option.name]) in ("1", "1.0")
-            assert f"{old} is now {new}" in " ".join(capsys.readouterr().err.split())
