@@ -10,9 +10,13 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
-from benchmarks.prediction.windows import HISTORY_STEPS, WINDOW_STEPS
+from benchmarks.prediction.windows import (
+    HISTORY_STEPS,
+    WINDOW_STEPS,
+    read_resolutions,
+    read_trajnet_windows,
+)
 from geoaim.tracks.files import read_table
-from geoaim.tracks.formats.stanford import read_resolutions, read_trajnet_windows
 
 JOIN_M = 0.4  # 70 % of the training windows go on in another that starts so near
 FRAMES_PER_STEP = 12
