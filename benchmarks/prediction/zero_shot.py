@@ -117,7 +117,7 @@ def _judge_tests(scenes: Sequence[Scene], seconds: float) -> dict[str, float | s
     for scene, start, segment in starts[:: max(1, -(-len(starts) // MAX_STARTS))]:
         before = judge_before(model, scene, start, horizon)
         found.append((before, _judge_after(model, scene, segment, choose_noise(before))))
-    told = [before for before in found if before[0] and before[0]["model"].counts.any()]
+    told = [before for before in found if before[0]]
     row: dict[str, float | str] = {f"after, {name}": _describe(found, name) for name in NAMES}
     row |= {"starts": len(found), "untested": len(found) - len(told)}
     for answer in ("better", "as good", "worse"):

@@ -118,21 +118,22 @@ def draw_covering(  # noqa: PLR0913  (what is drawn, and how)
     the expected error of the best one is least. Then all agents follow theirs, the first future of
     the best single guesses, and brake for each other as the model does.
 
-    It takes and gives what `ITRA.sample` does; `DRAWS` samples and more are plain draws.
+    It takes and gives what `ITRA.sample` does; `DRAWS` samples and more without noise are plain
+    draws.
     """
     given: dict[str, Any] = {"history": history, "goals": goals, "generator": generator}
     ground = prefilter_ground(ground, model.config.resolution)
     drawn = model.sample(segments, ground, samples=max(samples, DRAWS), **given)
-    if samples >= DRAWS:
+    count = drawn.shape[1]
+    if samples == count and not noise:
         return drawn
-    pool, even = drawn, drawn.new_full((*segments.controlled.shape, DRAWS), 1 / DRAWS)
-    weights = even
+    pool, weights = drawn, drawn.new_full((*segments.controlled.shape, count), 1 / count)
     if noise:
         constant = BASELINES[NOISY](
-            segments, ground, history=history, samples=DRAWS, generator=generator
+            segments, ground, history=history, samples=count, generator=generator
         )
         pool = torch.cat([drawn, constant], dim=1)
-        weights = torch.cat([(1 - noise) * even, noise * even], dim=2)
+        weights = torch.cat([(1 - noise) * weights, noise * weights], dim=2)
     if model.own_place is not None:
         plans, shares = model.own_place.plan(segments, history)
         shares = PLACE_SHARE * shares

@@ -44,7 +44,8 @@ def judge_before(model: ITRA, scene: Scene, start: int, horizon: int) -> dict[st
         metrics = judge(*given, fraction=1.0, horizon=horizon, progress=no_progress)
     except TracksError:
         return {}
-    return {name: values["minADE"] for name, values in metrics.items()}
+    errors = {name: values["minADE"] for name, values in metrics.items()}
+    return errors if errors["model"].counts.any() else {}
 
 
 def compare_with_noise(errors: dict[str, Metric]) -> str:
@@ -57,13 +58,12 @@ def compare_with_noise(errors: dict[str, Metric]) -> str:
 
 def choose_noise(errors: dict[str, Metric]) -> float:
     """Choose the `noise` that `predict` adds, by what `judge_before` found."""
-    tested = bool(errors) and bool(errors["model"].counts.any())
-    return NOISE_SHARE if tested and compare_with_noise(errors) != "better" else 0.0
+    return NOISE_SHARE if errors and compare_with_noise(errors) != "better" else 0.0
 
 
 def describe_trial(errors: dict[str, Metric]) -> str:
     """Describe what a model's test before the start of a prediction has shown."""
-    if not errors or not errors["model"].counts.any():
+    if not errors:
         return (
             "Too little was recorded before the start to test the model: at some places constant "
             "velocity with noise is as good or better; geoaim train learns a place"

@@ -158,7 +158,7 @@ def test_pictures_show_the_futures(scene, hdmap, tmp_path):
 def drive_ahead(speed):
     """A stand-in for a model, whose vehicles go on at a share of their speed."""
 
-    def sample(segments, ground, *, history, samples, generator):
+    def sample(segments, ground, *, history, samples, generator, goals=None):
         states = segments.states[:, None].repeat(1, samples, 1, 1, 1)
         way = torch.arange(1, segments.steps - history + 1) * segments.dt * speed
         now = states[:, :, :, history - 1 : history]
@@ -185,6 +185,20 @@ def test_what_was_recorded_before_tells_whether_a_model_is_better_than_noise(sce
     assert compare_with_noise(better) == "better"
     assert choose_noise(better) == choose_noise({}) == 0.0
     assert compare_with_noise({"model": bad[NOISY], NOISY: bad[NOISY]}) == "as good"
+
+
+@pytest.mark.parametrize("samples", [6, DRAWS])
+def test_noise_is_mixed_into_few_futures_and_many(scene, samples):
+    model = drive_ahead(3.0)
+
+    def spread(noise):
+        generator = torch.Generator().manual_seed(0)
+        given = {"samples": samples, "horizon": 10, "start": 300, "generator": generator}
+        futures = predict(model, scene, noise=noise, **given)
+        return futures.states[:, futures.mark_predicted(), -1, :2].std(dim=0).max()
+
+    assert spread(0.0) == 0  # all of a model's futures are the same
+    assert spread(0.5) > 0.5
 
 
 def test_nothing_after_the_start_and_no_short_recording_tests_a_model(scene):
