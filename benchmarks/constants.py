@@ -28,7 +28,7 @@ import typer
 from benchmarks.alignment.benchmark import list_methods, measure_pair
 from benchmarks.alignment.mosaics import LAYOUTS, PRIOR, displace_parts, judge_mosaic
 from benchmarks.alignment.pairs import Pair, make_pairs, misplace_picture, move_to_aim
-from benchmarks.alignment.real import align_misplaced
+from benchmarks.alignment.real import align_trials
 from benchmarks.background.drawn_queue import draw_queue
 from benchmarks.background.methods import METHODS as BACKGROUNDS
 from benchmarks.background.methods import measure_background
@@ -243,7 +243,7 @@ def measure_alignment(pairs: Sequence[Pair]) -> Mapping[str, float]:
         one
         for pair in pairs[2:4]
         if pair.tracks is not None
-        for one in align_misplaced(pair.picture, pair.tracks, 1)
+        for one in align_trials(pair.picture, pair.tracks, 1)
         if one is not None
     ]
     halves = _measure_halves(pairs[3])

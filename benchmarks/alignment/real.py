@@ -117,7 +117,7 @@ def _measure_tracks(
     """
     errors, durations, inside = [], [], 0
     for picture, tracks in cases:
-        own = [one for one in align_misplaced(picture, tracks, trials) if one is not None]
+        own = [one for one in align_trials(picture, tracks, trials) if one is not None]
         inside += sum(is_inside for _, is_inside, _ in own)
         across = np.eye(2) if road is None else np.array([[-np.sin(road)], [np.cos(road)]])
         errors.append([float(np.linalg.norm(error @ across)) for error, _, _ in own])
@@ -133,7 +133,7 @@ def _measure_tracks(
     }
 
 
-def align_misplaced(
+def align_trials(
     picture: AIM, tracks: Tracks, trials: int
 ) -> Iterator[tuple[Float[Array, "2"], bool, float] | None]:
     """Yield error in metres, whether the stated region holds it, and seconds; None if refused."""

@@ -177,7 +177,7 @@ def train_network(
     for step in range(training.steps):
         rows = torch.randint(len(people.paths), (training.batch_size,), generator=generator)
         some = select_people(people, rows)
-        modes, future = _predict_varied(network, some, training, generator)
+        modes, future = _predict_variations(network, some, training, generator)
         errors = (modes - future[:, None]).norm(dim=-1) * (typical / some.resolutions)[
             :, None, None
         ]
@@ -197,7 +197,7 @@ def _count_learning(step: int, training: Training) -> int:
     return max(1, round(STANFORD_SAMPLES * share / 2))
 
 
-def _predict_varied(
+def _predict_variations(
     network: NeighboursMLP, people: People, training: Training, generator: torch.Generator
 ) -> tuple[Float[Tensor, "E A P 2"], Float[Tensor, "E P 2"]]:
     """Predict windows that are scaled, mirrored and noisy; return what comes, too."""

@@ -170,7 +170,7 @@ def find_askew(tracks: Tracks) -> str:
     (1.3 m/s becomes 7 m/s), and boxes that are turned and were taken for upright ones. Says how
     many; "" where all but a few can be vehicles.
     """
-    moved = _find_moved(tracks) & select_group(tracks.types, "vehicle")
+    moved = _find_movers(tracks) & select_group(tracks.types, "vehicle")
     slender = tracks.sizes[moved, 0] / tracks.sizes[moved, 1]
     odd, count = int(((slender < 1) | (slender > MAX_SLENDER)).sum()), int(moved.sum())
     if odd < MIN_AGENTS or odd <= MAX_ASKEW * count:
@@ -186,7 +186,7 @@ def check_standing(tracks: Tracks) -> None:
     present, times = tracks.present, tracks.times
     late = times[present.argmax(axis=1)] > times[0] + MAX_GAP_S
     early = times[len(times) - 1 - present[:, ::-1].argmax(axis=1)] < times[-1] - MAX_GAP_S
-    odd, count = int(((late | early) & ~_find_moved(tracks)).sum()), len(present)
+    odd, count = int(((late | early) & ~_find_movers(tracks)).sum()), len(present)
     if odd >= MIN_AGENTS and odd > MAX_APPEARING * count:
         warn(
             f"{odd} of {count} agents stand, and come or go nevertheless: has the video cuts, is "
@@ -194,7 +194,7 @@ def check_standing(tracks: Tracks) -> None:
         )
 
 
-def _find_moved(tracks: Tracks) -> Bool[Array, " N"]:
+def _find_movers(tracks: Tracks) -> Bool[Array, " N"]:
     """Find which agents moved on by more than their size."""
     places, stop = tracks.get_rows("states")[:, :2], np.cumsum(tracks.present.sum(axis=1))
     way = places[stop - 1] - places[np.concatenate([[0], stop[:-1]])]

@@ -95,7 +95,7 @@ def search_frames(
             peaks = join_peaks([seen, find_peaks(change, LOWEST)])
             inside = _sample_inside(peaks)
             odds = _weigh(peaks, inside, excess, len(seen.logits))
-            peaks, odds = _pick_likely(peaks, odds)
+            peaks, odds = _pick_peaks(peaks, odds)
             is_dark = _find_dark(_sample_inside(peaks), image, change)
             beside = find_dark_boxes(peaks, is_dark, np.linalg.inv(image_from_world))
             found[frame.index] = _Found(peaks, odds, shrink, beside)
@@ -175,7 +175,7 @@ class _Ground:
         return even, known * (1 + largest.astype(np.float32)) / typical
 
 
-def _pick_likely(peaks: Peaks, odds: Float[Array, " N"]) -> tuple[Peaks, Float[Array, " n"]]:
+def _pick_peaks(peaks: Peaks, odds: Float[Array, " N"]) -> tuple[Peaks, Float[Array, " n"]]:
     """Pick the probable peaks, with their log odds."""
     likely = np.flatnonzero(odds > np.log(MIN_PROBABILITY / (1 - MIN_PROBABILITY)))
     return peaks.pick(likely), odds[likely]

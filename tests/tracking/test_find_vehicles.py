@@ -23,7 +23,7 @@ from geoaim.tracking.find_vehicles import (
     _choose,
     _find_dark,
     _Found,
-    _pick_likely,
+    _pick_peaks,
     _sample_inside,
     _weigh,
     keep_certain,
@@ -105,7 +105,7 @@ def weigh(logits, excess, lengths=(16.0, 16.0), second=(60.0, 20.0), in_frame=2)
     widths = np.full(2, 7.0)
     peaks = Peaks(centres, np.zeros(2), np.array(lengths), widths, np.array(logits))
     inside = _sample_inside(peaks)
-    peaks, odds = _pick_likely(peaks, _weigh(peaks, inside, picture, in_frame))
+    peaks, odds = _pick_peaks(peaks, _weigh(peaks, inside, picture, in_frame))
     none = find_dark_boxes(peaks, np.zeros(len(odds), bool), np.eye(3))
     return _choose(_Found(peaks, odds, np.array([0.5, 0.5]), none), np.arange(len(odds)))
 

@@ -21,7 +21,7 @@ from geoaim.imagery.alignment.by_tracks import align_tracks
 from geoaim.imagery.alignment.parts import Labels, Part, align_parts, compose_parts, try_alignment
 from geoaim.imagery.alignment.result import ImageryAlignment, Prior
 from geoaim.imagery.alignment.segmentation import find_parts
-from geoaim.imagery.alignment.weighing import forget_undetermined, weigh_alignment
+from geoaim.imagery.alignment.weighing import forget_undetermined_direction, weigh_alignment
 from geoaim.imagery.mosaic import Mosaic
 from geoaim.tracks.tracks import Tracks
 
@@ -172,7 +172,7 @@ def weigh_part(part: Part, evidence: Evidence, imagery: AIM) -> PlacedPart:
     if reference is None and (own is None or not isinstance(evidence, TracksEvidence)):
         return PlacedPart(part, alignment, alignment.covariance)
     if reference is None:
-        reference = forget_undetermined(alignment).covariance - alignment.covariance
+        reference = forget_undetermined_direction(alignment).covariance - alignment.covariance
     if own is None:
         own = np.eye(2) * (evidence.prior.max_shift / 2) ** 2
     return PlacedPart(part, *weigh_alignment(alignment, own, reference))

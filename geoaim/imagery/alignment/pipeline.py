@@ -27,7 +27,7 @@ from geoaim.imagery.alignment.evidence import (
     report_alignment,
 )
 from geoaim.imagery.alignment.result import DEFAULT_PRIOR, ImageryAlignment, Prior
-from geoaim.imagery.alignment.weighing import forget_undetermined, weigh_alignment
+from geoaim.imagery.alignment.weighing import forget_undetermined_direction, weigh_alignment
 from geoaim.imagery.mosaic import Mosaic, ReadOptions, read_lonlat, read_mosaic
 from geoaim.imagery.sources import ImageryObject, Source
 from geoaim.mapping.georeference.control_points import ControlPointSource
@@ -255,7 +255,7 @@ def _add_weight(imagery: AIM, evidence: Evidence, alignment: ImageryAlignment) -
         return imagery  # control points were picked for this picture, and hold
     none = np.zeros((2, 2))
     reference = none if evidence.covariance is None else evidence.covariance
-    moved, covariance = weigh_alignment(forget_undetermined(alignment), own, reference)
+    moved, covariance = weigh_alignment(forget_undetermined_direction(alignment), own, reference)
     if np.sqrt(np.linalg.eigvals(np.linalg.solve(own, covariance)).real.min()) > 1 - MIN_GAIN:
         return imagery
     moved = replace(moved, true_from_stated=translation(*moved.shift))

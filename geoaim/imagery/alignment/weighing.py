@@ -33,7 +33,7 @@ def weigh_alignment(
     return moved, (covariance + covariance.T) / 2
 
 
-def forget_undetermined(alignment: ImageryAlignment) -> ImageryAlignment:
+def forget_undetermined_direction(alignment: ImageryAlignment) -> ImageryAlignment:
     """State that nothing is known along the undetermined direction of an alignment."""
     direction = alignment.undetermined_direction
     if direction is None:

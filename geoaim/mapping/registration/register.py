@@ -248,7 +248,7 @@ def choose_reference(
     placed = [] if is_given else _register_probes(reference, probes)
     if time is None and not all(result.valid for result, _ in placed):
         many = read if len(read) > PROBE_FRAMES else video.sample(HOVER_FRAMES)
-        best, probes = _find_best_connected(video, many, probes, detections)
+        best, probes = _find_best_frame(video, many, probes, detections)
         reference = _make_reference(best, detections, model)
         placed = _register_probes(reference, probes)
     patches = len(reference.keyframe.fine.points)
@@ -260,7 +260,7 @@ def choose_reference(
     return reference if model else _choose_model(reference, placed)
 
 
-def _find_best_connected(
+def _find_best_frame(
     video: Video, many: Iterable[Frame], probes: list[Frame], detections: Detections | None
 ) -> tuple[Frame, list[Frame]]:
     """Find the middle of the longest hover, else the probe that matches most; and its probes."""

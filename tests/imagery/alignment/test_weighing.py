@@ -2,7 +2,7 @@ import numpy as np
 
 from geoaim.base.geometry import translation
 from geoaim.imagery.alignment.result import ImageryAlignment
-from geoaim.imagery.alignment.weighing import forget_undetermined, weigh_alignment
+from geoaim.imagery.alignment.weighing import forget_undetermined_direction, weigh_alignment
 
 SHIFT = np.array([5.0, 2.0])
 
@@ -34,9 +34,9 @@ def test_weights_are_those_of_gaussian_products():
 
 
 def test_undetermined_direction_has_no_weight():
-    alignment = forget_undetermined(_align(np.diag([0.04, 25.0])))
+    alignment = forget_undetermined_direction(_align(np.diag([0.04, 25.0])))
     moved, covariance = weigh_alignment(alignment, np.eye(2) * 4, np.zeros((2, 2)))
     np.testing.assert_allclose(moved.shift, [5 * 4 / 4.04, 0.0], atol=1e-3)
     np.testing.assert_allclose(covariance[1, 1], 4.0, rtol=1e-3)
     known = _align(np.eye(2) * 0.04)
-    assert forget_undetermined(known) is known
+    assert forget_undetermined_direction(known) is known
